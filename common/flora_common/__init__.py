@@ -1,0 +1,1 @@
+"""What rig and lab share: messages, bus, time, configuration, files, geometry, vision."""

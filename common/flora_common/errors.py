@@ -1,0 +1,99 @@
+"""Every error that a person can cause or mend.
+
+    FloraError                 one clear line: what, where, what to do; exit status 2 or 1, never a traceback
+    ├── BadInput               exit status 2: the caller gave something that cannot be used
+    │   ├── ConfigError        the TOML configuration
+    │   ├── BadRunFolder       run.toml, frames.csv, track.csv, background/
+    │   ├── BadPicture         an image that is torn, empty, of the wrong size, or not what was announced
+    │   ├── BadController      a controller file that must not steer a plant
+    │   └── BadMessage         bytes from the bus that are not a message of the catalogue
+    ├── DeviceError            exit status 1: the world did not answer as it should
+    │   ├── CameraGone         no camera, or it died
+    │   ├── CameraTimeout      the camera hung and was killed
+    │   ├── FlashDead          the flash lamp did not light
+    │   └── LampsDead          the strips could not be written
+    ├── StoreError             exit status 1: writing or verifying a file
+    │   ├── DiskFull
+    │   ├── NasUnreachable     the folder is not there, or its marker file is missing
+    │   ├── NasRefused         read-only, or not permitted
+    │   └── NasDamaged         what came back is not what was sent
+    └── BusUnreachable         exit status 1: nobody answers at the bus address
+
+Anything else that escapes is a bug: it keeps its traceback and ends the process with status 1.
+"""
+
+from __future__ import annotations
+
+
+class FloraError(Exception):
+    """An expected failure, told in one line."""
+
+    exit_status = 1
+
+
+class BadInput(FloraError):
+    exit_status = 2
+
+
+class ConfigError(BadInput):
+    pass
+
+
+class BadRunFolder(BadInput):
+    pass
+
+
+class BadPicture(BadInput):
+    pass
+
+
+class BadController(BadInput):
+    pass
+
+
+class BadMessage(BadInput):
+    pass
+
+
+class DeviceError(FloraError):
+    pass
+
+
+class CameraGone(DeviceError):
+    pass
+
+
+class CameraTimeout(DeviceError):
+    pass
+
+
+class FlashDead(DeviceError):
+    pass
+
+
+class LampsDead(DeviceError):
+    pass
+
+
+class StoreError(FloraError):
+    pass
+
+
+class DiskFull(StoreError):
+    pass
+
+
+class NasUnreachable(StoreError):
+    pass
+
+
+class NasRefused(StoreError):
+    pass
+
+
+class NasDamaged(StoreError):
+    pass
+
+
+class BusUnreachable(FloraError):
+    pass

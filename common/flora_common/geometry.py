@@ -1,0 +1,165 @@
+"""Stem, obstacle, target, collision and fitness, in the picture plane.
+
+One frame of reference for rig and lab alike: centimetres, origin at the anchor (where the stem leaves the soil),
+x to the right in the picture, y up. All functions are pure and take plain numpy arrays.
+
+Sources: Wahby et al. 2018, section "Stem motion tracking" (ten points), "Task" (obstacle, target) and the equation
+of the behavioural fitness F.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+STEM_POINTS: Final = 10
+"""Points of a stem description: point 1 is the anchor, point 10 the growing tip."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The place that the tip is to reach: a disc."""
+
+    x_cm: float
+    y_cm: float
+    radius_cm: float = 2.0
+
+    def distance_cm(self, x_cm: float, y_cm: float) -> float:
+        """Distance from a point to the centre of the target."""
+        return float(np.hypot(x_cm - self.x_cm, y_cm - self.y_cm))
+
+    def contains(self, x_cm: float, y_cm: float) -> bool:
+        """Whether a point lies on or inside the target's circle."""
+        return self.distance_cm(x_cm, y_cm) <= self.radius_cm
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """The virtual obstacle: an upright rectangle given by its centre and extent."""
+
+    x_cm: float
+    y_cm: float
+    width_cm: float = 7.0
+    height_cm: float = 3.0
+
+    @property
+    def left_cm(self) -> float:
+        return self.x_cm - self.width_cm / 2
+
+    @property
+    def right_cm(self) -> float:
+        return self.x_cm + self.width_cm / 2
+
+    @property
+    def bottom_cm(self) -> float:
+        return self.y_cm - self.height_cm / 2
+
+    @property
+    def top_cm(self) -> float:
+        return self.y_cm + self.height_cm / 2
+
+
+def collides(points_cm: npt.ArrayLike, obstacle: Obstacle) -> bool:
+    """Whether the polyline through ``points_cm`` touches the obstacle anywhere, not only at its points.
+
+    Args:
+        points_cm: shape (n, 2), n >= 2, in cm.
+        obstacle: the rectangle; its edge belongs to it.
+
+    Returns:
+        True where at least one segment has a point in common with the closed rectangle (Liang-Barsky clipping of each
+        segment against the four half planes, all segments at once).
+    """
+    p = np.asarray(points_cm, dtype=np.float64)
+    start, step = p[:-1], np.diff(p, axis=0)
+    low = np.array([obstacle.left_cm, obstacle.bottom_cm])
+    high = np.array([obstacle.right_cm, obstacle.top_cm])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t_a = (low - start) / step
+        t_b = (high - start) / step
+    parallel = step == 0.0
+    outside = parallel & ((start < low) | (start > high))
+    t_enter = np.where(parallel, -np.inf, np.minimum(t_a, t_b)).max(axis=1)
+    t_leave = np.where(parallel, np.inf, np.maximum(t_a, t_b)).min(axis=1)
+    hit = (np.maximum(t_enter, 0.0) <= np.minimum(t_leave, 1.0)) & ~outside.any(axis=1)
+    return bool(hit.any())
+
+
+def clearance_cm(points_cm: npt.ArrayLike, obstacle: Obstacle) -> float:
+    """Smallest distance in cm between the polyline (n, 2) and the obstacle; 0 where they touch."""
+    if collides(points_cm, obstacle):
+        return 0.0
+    p = np.asarray(points_cm, dtype=np.float64)
+    low = np.array([obstacle.left_cm, obstacle.bottom_cm])
+    high = np.array([obstacle.right_cm, obstacle.top_cm])
+    outside = np.maximum(np.maximum(low - p, p - high), 0.0)
+    nearest = float(np.hypot(outside[:, 0], outside[:, 1]).min())
+    corners = np.array(
+        [
+            (obstacle.left_cm, obstacle.bottom_cm),
+            (obstacle.left_cm, obstacle.top_cm),
+            (obstacle.right_cm, obstacle.bottom_cm),
+            (obstacle.right_cm, obstacle.top_cm),
+        ]
+    )
+    return min(nearest, float(distance_to_polyline_cm(corners, p).min()))
+
+
+def distance_to_polyline_cm(points_cm: npt.ArrayLike, polyline_cm: npt.ArrayLike) -> FloatArray:
+    """Distance of each point (m, 2) to the polyline (n, 2), n >= 2; returns shape (m,)."""
+    q = np.asarray(points_cm, dtype=np.float64)[:, None, :]
+    line = np.asarray(polyline_cm, dtype=np.float64)
+    a, ab = line[:-1], np.diff(line, axis=0)
+    length2 = np.maximum((ab**2).sum(axis=1), 1e-30)
+    t = np.clip(((q - a) * ab).sum(axis=2) / length2, 0.0, 1.0)
+    nearest = a + t[..., None] * ab
+    distances: FloatArray = np.sqrt(((q - nearest) ** 2).sum(axis=2)).min(axis=1)
+    return distances
+
+
+def fitness(tip_x_cm: float, tip_y_cm: float, target: Target) -> float:
+    """The paper's behavioural fitness F (equation for F in its section "Evolutionary approach").
+
+    F = (x_r + y_r) / (|x*| + |y*|) with x_r = |x*| - |x* - x_tip| and y_r = |y*| - |y* - y_tip|.
+    1.0 is a tip on the target's centre; a tip that moved away gives values below that of the anchor (0.0).
+
+    Raises:
+        ValueError: the target lies on the anchor, where F is not defined.
+    """
+    best = abs(target.x_cm) + abs(target.y_cm)
+    if best == 0.0:
+        raise ValueError("fitness is not defined for a target at the anchor (0, 0)")
+    return (best - abs(target.x_cm - tip_x_cm) - abs(target.y_cm - tip_y_cm)) / best
+
+
+def resample_by_height(centreline_cm: npt.ArrayLike, count: int = STEM_POINTS) -> FloatArray:
+    """Points of a centreline at heights evenly spaced from anchor to tip: the convention of ``track.csv``.
+
+    Args:
+        centreline_cm: shape (n, 2), anchor first, tip last.
+        count: number of points.
+
+    Returns:
+        Shape (count, 2). The first is the anchor, the last the tip. Where the line passes a height more than once
+        (a stem that folds back), the passage nearest to the anchor along the stem is taken.
+    """
+    line = np.asarray(centreline_cm, dtype=np.float64)
+    heights = np.linspace(line[0, 1], line[-1, 1], count)
+    out = np.empty((count, 2))
+    out[0], out[-1] = line[0], line[-1]
+    for i in range(1, count - 1):
+        below = line[:, 1] - heights[i]
+        crossing = np.nonzero((below[:-1] <= 0) & (below[1:] > 0) | (below[:-1] >= 0) & (below[1:] < 0))[0]
+        if crossing.size == 0:
+            nearest = line[int(np.argmin(np.abs(below)))]
+            out[i] = nearest[0], heights[i]
+            continue
+        k = int(crossing[0])
+        share = below[k] / (below[k] - below[k + 1])
+        out[i] = line[k, 0] + share * (line[k + 1, 0] - line[k, 0]), heights[i]
+    return out

@@ -1,0 +1,266 @@
+"""Run folders: what a plant, a box and three days of photographs are on disk.
+
+A run is a folder with ``run.toml``, ``background/*.jpg``, ``frames/*.jpg``, ``frames.csv``, ``track.csv`` and
+``bus/*.mcap``. ``track.csv`` alone is a valid input to the lab. Lengths in cm, picture positions in px of the full
+picture, times in seconds since the run's start.
+
+``light`` in both tables is the lamp that shone when the photograph was taken, hence over the interval before it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+
+from flora_common import files
+from flora_common.errors import BadRunFolder
+from flora_common.geometry import STEM_POINTS, FloatArray, Obstacle, Target
+from flora_common.suggest import did_you_mean
+from flora_common.toml_strict import convert, read_toml
+
+Light = Literal["left", "right", "dark", "both"]
+LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
+
+Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
+PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]
+Px = Annotated[float, msgspec.Meta(ge=-20_000.0, le=20_000.0)]
+
+FRAMES_HEADER: Final = "file,time_s,light"
+TRACK_HEADER: Final = "time_s,light," + ",".join(f"x{i},y{i}" for i in range(1, STEM_POINTS + 1))
+
+
+class CameraSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[camera]``: how pictures map to centimetres."""
+
+    anchor_px: tuple[Px, Px]
+    px_per_cm: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
+    width_px: Annotated[int, msgspec.Meta(ge=16, le=20_000)] = 1640
+    height_px: Annotated[int, msgspec.Meta(ge=16, le=20_000)] = 1232
+
+
+class TargetSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[target]``."""
+
+    x_cm: Cm
+    y_cm: Cm
+    radius_cm: PositiveCm = 2.0
+
+
+class ObstacleSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[obstacle]``: centre and extent."""
+
+    x_cm: Cm
+    y_cm: Cm
+    width_cm: PositiveCm = 7.0
+    height_cm: PositiveCm = 3.0
+
+
+class LampsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[lamps]``: where they hang, relative to the anchor; left is mirrored to right."""
+
+    distance_cm: PositiveCm = 35.0
+    height_cm: PositiveCm = 30.0
+
+
+class RunFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``run.toml``."""
+
+    camera: CameraSection
+    rig: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")] = "box1"
+    plant: Annotated[str, msgspec.Meta(max_length=200)] = ""
+    start: datetime | None = None
+    interval_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0
+    lamps: LampsSection = LampsSection()
+    target: TargetSection | None = None
+    obstacle: ObstacleSection | None = None
+
+    def target_or_none(self) -> Target | None:
+        return Target(self.target.x_cm, self.target.y_cm, self.target.radius_cm) if self.target else None
+
+    def obstacle_or_none(self) -> Obstacle | None:
+        o = self.obstacle
+        return Obstacle(o.x_cm, o.y_cm, o.width_cm, o.height_cm) if o else None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One line of ``frames.csv``; ``covariates`` are the further numeric columns."""
+
+    file: str
+    time_s: float
+    light: Light
+    covariates: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A measured run as arrays.
+
+    Attributes:
+        time_s: shape (n,), strictly increasing.
+        light: length n.
+        points_cm: shape (n, 10, 2); point 0 is the anchor (0, 0), point 9 the tip.
+        covariates: name to shape (n,).
+    """
+
+    time_s: FloatArray
+    light: tuple[Light, ...]
+    points_cm: FloatArray
+    covariates: dict[str, FloatArray]
+
+
+class RunFolder:
+    """Paths, reading and writing of one run folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.run_toml = path / "run.toml"
+        self.background = path / "background"
+        self.frames = path / "frames"
+        self.frames_csv = path / "frames.csv"
+        self.frames_log = path / "frames.jsonl"
+        self.track_csv = path / "track.csv"
+        self.bus = path / "bus"
+
+    def read_run_file(self) -> RunFile:
+        """``run.toml``, checked.
+
+        Raises:
+            BadRunFolder: missing, not TOML, unknown keys, numbers out of range.
+        """
+        if not self.path.is_dir():
+            raise BadRunFolder(f"{self.path}: no such run folder")
+        if not self.run_toml.is_file():
+            raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
+        return convert(read_toml(self.run_toml, BadRunFolder), RunFile, where=str(self.run_toml), error=BadRunFolder)
+
+    def background_pictures(self) -> list[Path]:
+        """Pictures of the setup without a plant, in name order."""
+        return sorted(self.background.glob("*.jpg")) if self.background.is_dir() else []
+
+    def read_frames(self) -> list[FrameRow]:
+        """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights."""
+        rows: list[FrameRow] = []
+        for line, row in _read_csv(self.frames_csv, FRAMES_HEADER.split(",")):
+            where = f"{self.frames_csv} line {line}"
+            file = row.pop("file")
+            path = Path(file)
+            if not file or path.is_absolute() or ".." in path.parts:
+                raise BadRunFolder(f"{where}: file `{file}` must be a relative path inside the run folder")
+            time_s = _number(row.pop("time_s"), "time_s", where)
+            light = _light(row.pop("light"), where)
+            if rows and time_s <= rows[-1].time_s:
+                raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {rows[-1].time_s:g} in the line before")
+            rows.append(FrameRow(file, time_s, light, {k: _number(v, k, where) for k, v in row.items()}))
+        return rows
+
+    def append_frame(self, file: str, time_s: float, light: Light) -> None:
+        """Add a line to ``frames.csv``, flushed to the disk."""
+        files.append_line(self.frames_csv, f"{file},{time_s:.3f},{light}", header=FRAMES_HEADER)
+
+    def append_track(self, time_s: float, light: Light, points_cm: FloatArray) -> None:
+        """Add a line to ``track.csv``, flushed to the disk."""
+        files.append_line(self.track_csv, track_line(time_s, light, points_cm), header=TRACK_HEADER)
+
+
+def track_line(time_s: float, light: Light, points_cm: FloatArray) -> str:
+    """One line of ``track.csv``: micrometres are enough digits."""
+    return f"{time_s:.3f},{light}," + ",".join(f"{v:.4f}" for v in np.asarray(points_cm).reshape(-1))
+
+
+def read_track(path: Path) -> Track:
+    """A track file, checked.
+
+    Raises:
+        BadRunFolder: missing columns, numbers that are not finite, times that do not increase, fewer than one row.
+    """
+    times: list[float] = []
+    lights: list[Light] = []
+    points: list[list[float]] = []
+    covariates: dict[str, list[float]] = {}
+    names = TRACK_HEADER.split(",")
+    for line, row in _read_csv(path, names):
+        where = f"{path} line {line}"
+        time_s = _number(row.pop("time_s"), "time_s", where)
+        if times and time_s <= times[-1]:
+            raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {times[-1]:g} in the line before")
+        times.append(time_s)
+        lights.append(_light(row.pop("light"), where))
+        points.append([_number(row.pop(name), name, where) for name in names[2:]])
+        for name, value in row.items():
+            covariates.setdefault(name, []).append(_number(value, name, where))
+    if not times:
+        raise BadRunFolder(f"{path}: holds no rows")
+    return Track(
+        np.array(times),
+        tuple(lights),
+        np.array(points).reshape(-1, STEM_POINTS, 2),
+        {name: np.array(values) for name, values in covariates.items()},
+    )
+
+
+def new_run_file(run: RunFile) -> str:
+    """``run.toml`` as text. TOML is written by hand here: the standard library only reads it."""
+    lines = [f'rig = "{run.rig}"', f"plant = {msgspec.json.encode(run.plant).decode()}"]
+    if run.start is not None:
+        lines.append(f"start = {run.start.astimezone(UTC).isoformat(timespec='seconds').replace('+00:00', 'Z')}")
+    lines.append(f"interval_s = {run.interval_s:g}")
+    camera = run.camera
+    lines += ["", "[camera]", f"anchor_px = [{camera.anchor_px[0]:g}, {camera.anchor_px[1]:g}]"]
+    lines += [f"px_per_cm = {camera.px_per_cm!r}", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
+    for name, section in (("lamps", run.lamps), ("target", run.target), ("obstacle", run.obstacle)):
+        if section is not None:
+            lines += ["", f"[{name}]", *(f"{k} = {v!r}" for k, v in msgspec.structs.asdict(section).items())]
+    return "\n".join(lines) + "\n"
+
+
+def _read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    try:
+        text = path.read_bytes().decode()
+    except OSError as problem:
+        raise BadRunFolder(f"{path}: cannot be read ({problem.strerror})") from problem
+    except UnicodeDecodeError as problem:
+        raise BadRunFolder(f"{path}: not UTF-8 text (byte {problem.start})") from problem
+    try:
+        rows = list(csv.reader(text.splitlines(), strict=True))
+    except csv.Error as problem:
+        raise BadRunFolder(f"{path}: not a CSV file ({problem})") from problem
+    if not rows:
+        raise BadRunFolder(f"{path}: is empty; expected the header {','.join(required[:3])},…")
+    header = rows[0]
+    for name in required:
+        if name not in header:
+            raise BadRunFolder(f"{path}: no column `{name}`{did_you_mean(name, header)}")
+    if len(set(header)) != len(header):
+        raise BadRunFolder(f"{path}: a column name appears twice in the header")
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        if len(row) != len(header):
+            raise BadRunFolder(f"{path} line {number}: {len(row)} values under {len(header)} columns")
+        yield number, dict(zip(header, row, strict=True))
+
+
+def _number(text: str, name: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a number") from None
+    if not math.isfinite(value):
+        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a finite number")
+    return value
+
+
+def _light(text: str, where: str) -> Light:
+    for light in LIGHTS:
+        if text == light:
+            return light
+    raise BadRunFolder(f"{where}: light is `{text[:40]}`{did_you_mean(text, LIGHTS)}")

@@ -1,0 +1,78 @@
+"""TOML into typed, frozen structures: unknown keys, wrong types and numbers out of range are told, with the place."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from flora_common.errors import BadInput
+from flora_common.suggest import did_you_mean
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def read_toml(path: Path, error: type[BadInput]) -> dict[str, Any]:
+    """Parse a TOML file.
+
+    Raises:
+        error: the file cannot be read or is not TOML; the message names file, line and column.
+    """
+    try:
+        return tomllib.loads(path.read_bytes().decode())
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not UTF-8 text (byte {problem.start})") from problem
+    except (tomllib.TOMLDecodeError, RecursionError) as problem:
+        raise error(f"{path}: not valid TOML: {problem}") from problem
+
+
+def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadInput]) -> T:
+    """Check a parsed table against a struct type.
+
+    Args:
+        data: the table as parsed.
+        into: a struct type; fields that it does not name are refused, at every depth.
+        where: the file, and the section where there is one, for the message.
+        error: the error class to raise.
+    """
+    _refuse_unknown(data, into, where, error)
+    try:
+        return msgspec.convert(data, into)
+    except msgspec.ValidationError as problem:
+        text = str(problem)
+        at = re.search(r" - at `\$\.?(.*)`$", text)
+        message = text[: at.start()] if at else text
+        key = f" `{at.group(1)}`" if at and at.group(1) else ""
+        raise error(f"{where}:{key} {message[0].lower()}{message[1:]}") from problem
+
+
+def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str, error: type[BadInput]) -> None:
+    fields = {field.encode_name: field.type for field in msgspec.structs.fields(into)}
+    for key, value in data.items():
+        if key not in fields:
+            raise error(f"{where}: unknown key `{key}`{did_you_mean(key, fields)}")
+        inner = _struct_in(fields[key])
+        if inner is None:
+            continue
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, dict):
+                _refuse_unknown(item, inner, f"{where} [{key}]", error)
+
+
+def _struct_in(kind: Any) -> type[msgspec.Struct] | None:
+    """The struct type inside an annotation such as ``Camera``, ``Camera | None`` or ``list[Camera]``."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return kind
+    if typing.get_origin(kind) in (typing.Union, types.UnionType, list, tuple, typing.Annotated):
+        for part in typing.get_args(kind):
+            found = _struct_in(part)
+            if found is not None:
+                return found
+    return None

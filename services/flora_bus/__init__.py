@@ -1,0 +1,1 @@
+"""flora-bus: the XSUB/XPUB proxy that every service talks through."""

@@ -1,0 +1,1 @@
+"""flora-capture: one photograph per tick, whole and announced."""

@@ -1,0 +1,1 @@
+"""flora-controller: stem to light, by an evolved network or a built-in rule."""

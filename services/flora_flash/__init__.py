@@ -1,0 +1,1 @@
+"""flora-flash: the beat, and the flash lamp."""

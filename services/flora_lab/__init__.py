@@ -1,0 +1,1 @@
+"""flora-lab: the offline lab: tracks, models, controllers, discoveries."""

@@ -1,0 +1,1 @@
+"""flora-monitor: tail, rates, topics, record, replay and health of the bus."""

@@ -1,0 +1,1 @@
+"""flora-recorder: every bus message to MCAP files."""

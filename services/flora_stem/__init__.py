@@ -1,0 +1,1 @@
+"""flora-stem: photograph to ten-point stem."""

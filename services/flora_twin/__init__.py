@@ -1,0 +1,1 @@
+"""flora-twin: the virtual grow box, and the virtual rig around it."""

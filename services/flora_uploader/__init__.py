@@ -1,0 +1,1 @@
+"""flora-uploader: every file of record to the NAS, verified."""
