@@ -13,7 +13,7 @@ import csv
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -24,7 +24,7 @@ from flora_common import files
 from flora_common.errors import BadRunFolder
 from flora_common.geometry import STEM_POINTS, FloatArray, Obstacle, Target
 from flora_common.suggest import did_you_mean
-from flora_common.toml_strict import convert, read_toml
+from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
 LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
@@ -207,19 +207,9 @@ def read_track(path: Path) -> Track:
     )
 
 
-def new_run_file(run: RunFile) -> str:
-    """``run.toml`` as text. TOML is written by hand here: the standard library only reads it."""
-    lines = [f'rig = "{run.rig}"', f"plant = {msgspec.json.encode(run.plant).decode()}"]
-    if run.start is not None:
-        lines.append(f"start = {run.start.astimezone(UTC).isoformat(timespec='seconds').replace('+00:00', 'Z')}")
-    lines.append(f"interval_s = {run.interval_s:g}")
-    camera = run.camera
-    lines += ["", "[camera]", f"anchor_px = [{camera.anchor_px[0]:g}, {camera.anchor_px[1]:g}]"]
-    lines += [f"px_per_cm = {camera.px_per_cm!r}", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
-    for name, section in (("lamps", run.lamps), ("target", run.target), ("obstacle", run.obstacle)):
-        if section is not None:
-            lines += ["", f"[{name}]", *(f"{k} = {v!r}" for k, v in msgspec.structs.asdict(section).items())]
-    return "\n".join(lines) + "\n"
+def run_file_text(run: RunFile) -> str:
+    """``run.toml`` as text; reading it back gives an equal :class:`RunFile`."""
+    return to_toml(run)
 
 
 def _read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, str]]]:

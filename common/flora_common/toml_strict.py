@@ -6,10 +6,12 @@ import re
 import tomllib
 import types
 import typing
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import tomli_w
 
 from flora_common.errors import BadInput
 from flora_common.suggest import did_you_mean
@@ -51,6 +53,15 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         message = text[: at.start()] if at else text
         key = f" `{at.group(1)}`" if at and at.group(1) else ""
         raise error(f"{where}:{key} {message[0].lower()}{message[1:]}") from problem
+
+
+def to_toml(value: msgspec.Struct) -> str:
+    """A struct as TOML text, fields that are None left out (TOML has no null)."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(value, builtin_types=(datetime,))))
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    return {k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None}
 
 
 def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str, error: type[BadInput]) -> None:

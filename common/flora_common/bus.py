@@ -1,0 +1,278 @@
+"""The bus as a service sees it: publish, subscribe, count what was lost.
+
+Why the sockets are what they are:
+
+- publishing is an XPUB, not a PUB: its incoming subscription tells that the bus is there. Until then messages wait in
+  an outbox, so that a restart of the bus costs nothing that was said meanwhile; when the bus is back, the last value
+  of every kept topic is said again, because a new bus knows nothing.
+- the last subscription is a name of our own, which the bus answers: then all subscriptions before it are in force. No
+  sleeps, and the same answer comes after a reconnect.
+- high-water marks are set on purpose: a subscriber that stands still costs the bus a bounded number of small messages.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar, cast
+
+import msgspec
+import zmq
+
+from flora_common.clock import NS, Clock
+from flora_common.errors import BadMessage
+from flora_common.messages.envelope import CATALOGUE, Message, Period, spec_of
+from flora_common.messages.wire import decode, encode, is_known, topic_of
+
+HIGH_WATER_MARK: Final = 1000
+"""Messages queued per peer and direction: about 0.5 MB of usual messages, 32 MB of the largest allowed."""
+
+MAX_FRAME_BYTES: Final = 1 << 20
+"""A longer frame ends the connection of whoever sends it, before memory is taken for it."""
+
+OUTBOX_LIMIT: Final = 1000
+HELLO_PREFIX: Final = b"~hello/"
+LATE_FACTOR: Final = 2.5
+"""A topic is late when nothing came for this many of its periods."""
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(slots=True)
+class Counters:
+    """What went through, and what did not."""
+
+    sent: int = 0
+    received: int = 0
+    gaps: int = 0
+    bad: int = 0
+    unknown: int = 0
+    duplicates: int = 0
+    dropped: int = 0
+
+
+class SequenceCheck:
+    """Finds holes and repeats in the sequence numbers of each (rig, topic, source, session)."""
+
+    def __init__(self) -> None:
+        self._last: dict[tuple[str, str, str], tuple[str, int]] = {}
+
+    def check(self, rig: str, kind: str, message: Message) -> int:
+        """Messages lost just before this one (0 for none), or -1 where this one was here before."""
+        key = (rig, kind, message.source)
+        session, last = self._last.get(key, ("", 0))
+        if message.session == session and message.seq <= last:
+            return -1
+        self._last[key] = (message.session, message.seq)
+        return message.seq - last - 1 if message.session == session else 0
+
+
+@dataclass(slots=True)
+class Heard:
+    """The last message of a topic and when it came, in rig time."""
+
+    message: Message
+    mono_ns: int
+
+
+class Freshness:
+    """Whether what was heard is still good, from the period that the catalogue states for its topic."""
+
+    def __init__(self, clock: Clock, *, tick_s: float) -> None:
+        self._clock = clock
+        self._tick_s = tick_s
+        self._heard: dict[str, Heard] = {}
+
+    def hear(self, kind: str, message: Message) -> None:
+        self._heard[kind] = Heard(message, self._clock.mono_ns())
+
+    def last(self, type_: type[M]) -> M | None:
+        """The last message of this type, however old."""
+        heard = self._heard.get(spec_of(type_).kind)
+        return cast(M, heard.message) if heard else None
+
+    def age_s(self, type_: type[Message]) -> float | None:
+        """Rig seconds since the last one; None where there was none."""
+        heard = self._heard.get(spec_of(type_).kind)
+        return (self._clock.mono_ns() - heard.mono_ns) / NS if heard else None
+
+    def fresh(self, type_: type[Message]) -> bool:
+        """Heard within :data:`LATE_FACTOR` periods. A topic without a period is fresh once heard."""
+        age_s = self.age_s(type_)
+        limit_s = late_after_s(spec_of(type_).period, self._tick_s)
+        return age_s is not None and (limit_s is None or age_s <= limit_s)
+
+
+def late_after_s(period: Period, tick_s: float) -> float | None:
+    """Seconds of silence after which a topic of this period is late; None where silence means nothing."""
+    if period == "none":
+        return None
+    return LATE_FACTOR * (tick_s if period == "tick" else 10.0)
+
+
+@dataclass(slots=True)
+class BusAddress:
+    """Where the bus listens: services publish to one endpoint and subscribe at the other."""
+
+    publish: str
+    subscribe: str
+
+
+@dataclass(slots=True)
+class _Outgoing:
+    seq: dict[str, int] = field(default_factory=dict)
+    kept: dict[str, list[bytes]] = field(default_factory=dict)
+    outbox: deque[list[bytes]] = field(default_factory=lambda: deque(maxlen=OUTBOX_LIMIT))
+
+
+class BusClient:
+    """One participant on the bus.
+
+    Args:
+        address: the bus's endpoints.
+        rig: first part of the topics that it publishes.
+        source: its name in the envelope.
+        clock: rig time, put on what is sent and moved on by what is heard.
+    """
+
+    def __init__(
+        self,
+        address: BusAddress,
+        *,
+        rig: str,
+        source: str,
+        clock: Clock,
+        context: zmq.Context[Any] | None = None,
+    ) -> None:
+        self.rig = rig
+        self.source = source
+        self.session = os.urandom(4).hex()
+        self.counters = Counters()
+        self._clock = clock
+        self._out = _Outgoing()
+        self._sequence = SequenceCheck()
+        self._hello = HELLO_PREFIX + self.session.encode()
+        self._bus_listens = False
+        self._bus_answered = False
+        context = context or zmq.Context.instance()
+        self.publisher = context.socket(zmq.XPUB)
+        self.subscriber = context.socket(zmq.SUB)
+        for socket in (self.publisher, self.subscriber):
+            socket.setsockopt(zmq.LINGER, 500)
+            socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
+            socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
+            socket.setsockopt(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
+            socket.setsockopt(zmq.RECONNECT_IVL, 20)
+            socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
+        self.publisher.connect(address.publish)
+        self._address = address
+        self._subscribed: list[bytes] = []
+
+    def subscribe(self, *types: type[Message], rig: str | None = None) -> None:
+        """Hear these message types of one rig (its own unless named)."""
+        self.subscribe_prefixes(*(topic_of(rig or self.rig, type_).encode() for type_ in types))
+
+    def subscribe_prefixes(self, *prefixes: bytes) -> None:
+        """Hear every topic that starts with one of these bytes."""
+        self._subscribed += prefixes
+
+    def connect(self) -> None:
+        """Open the subscriptions. Our own name comes last: its echo proves that all before it are in force."""
+        for prefix in [*self._subscribed, self._hello]:
+            self.subscriber.setsockopt(zmq.SUBSCRIBE, prefix)
+        self.subscriber.connect(self._address.subscribe)
+
+    @property
+    def connected(self) -> bool:
+        """The bus takes what we say, and has answered our subscriptions."""
+        return self._bus_listens and self._bus_answered
+
+    def publish(self, message: Message) -> None:
+        """Fill in the envelope, pack, and only then send: a message that cannot be packed leaves no half behind."""
+        spec = spec_of(type(message))
+        seq = self._out.seq.get(spec.kind, 0) + 1
+        stamped = msgspec.structs.replace(
+            message,
+            schema=spec.version,
+            source=self.source,
+            session=self.session,
+            seq=seq,
+            t_utc_ns=self._clock.utc_ns(),
+            t_mono_ns=self._clock.mono_ns(),
+        )
+        parts = encode(self.rig, stamped)
+        decode(parts)  # what others would refuse is a bug here: it must not travel
+        self._out.seq[spec.kind] = seq
+        if spec.keep:
+            self._out.kept[spec.kind] = parts
+        self.counters.sent += 1
+        if self._bus_listens:
+            self._send(parts)
+        else:
+            self._out.outbox.append(parts)
+
+    def _send(self, parts: list[bytes]) -> None:
+        try:
+            self.publisher.send_multipart(parts, zmq.DONTWAIT)
+        except zmq.Again:
+            self.counters.dropped += 1
+
+    def handle_publisher(self) -> None:
+        """Take notice of the bus coming or going; call when ``publisher`` is readable."""
+        while True:
+            try:
+                event = self.publisher.recv(zmq.DONTWAIT)
+            except zmq.Again:
+                return
+            self._bus_listens = event[:1] == b"\x01"
+            if self._bus_listens:
+                waiting = list(self._out.outbox)
+                self._out.outbox.clear()
+                for parts in [*(p for p in self._out.kept.values() if p not in waiting), *waiting]:
+                    self._send(parts)
+
+    def receive(self, limit: int = 256) -> list[tuple[str, Message]]:
+        """Up to ``limit`` (rig, message) that have arrived; never waits. Bad and repeated ones are only counted."""
+        messages: list[tuple[str, Message]] = []
+        for _ in range(limit):
+            try:
+                parts = self.subscriber.recv_multipart(zmq.DONTWAIT)
+            except zmq.Again:
+                break
+            if parts[0] == self._hello:
+                self._bus_answered = True
+                continue
+            checked = self._check(parts)
+            if checked is not None:
+                messages.append(checked)
+        return messages
+
+    def _check(self, parts: list[bytes]) -> tuple[str, Message] | None:
+        try:
+            rig, message = decode(parts)
+        except BadMessage:
+            if len(parts) >= 3 and not is_known(parts[0]):
+                self.counters.unknown += 1
+            else:
+                self.counters.bad += 1
+            return None
+        lost = self._sequence.check(rig, spec_of(type(message)).kind, message)
+        if lost < 0:
+            self.counters.duplicates += 1
+            return None
+        self.counters.gaps += lost
+        self.counters.received += 1
+        if rig == self.rig:
+            self._clock.observe(message.t_mono_ns, message.t_utc_ns)
+        return rig, message
+
+    def close(self) -> None:
+        """Send what is left, for half a second at most, and close."""
+        self.publisher.close()
+        self.subscriber.close()
+
+
+def kept_kinds() -> dict[bytes, bool]:
+    """Kinds whose last value the bus keeps, and whether it keeps one per source."""
+    return {kind.encode(): spec.per_source for kind, spec in CATALOGUE.items() if spec.keep}

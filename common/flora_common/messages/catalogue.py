@@ -1,0 +1,209 @@
+"""Every message of the bus, in the order in which a tick brings them about."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from flora_common.geometry import STEM_POINTS
+from flora_common.messages.envelope import (
+    Ampere,
+    Cm,
+    Count,
+    Fitness,
+    Gain,
+    Message,
+    Milliseconds,
+    Name,
+    OptionalSha256,
+    Point,
+    RelativePath,
+    Seconds,
+    Sentence,
+    Sha256,
+    Share,
+    message,
+)
+from flora_common.runs import Light
+
+Purpose = Literal["run", "background"]
+Outcome = Literal["ok", "no_stem", "jumped", "occluded", "touches_edge", "bad_picture", "no_frame"]
+MissedBecause = Literal["camera_hung", "camera_gone", "bad_picture", "disk_full", "not_written"]
+State = Literal["starting", "ready", "degraded", "fault"]
+Stage = Literal["waiting", "stored", "refused"]
+
+
+@message("tick", owner="flora-flash", period="tick")
+class Tick(Message, kw_only=True, frozen=True):
+    """A beat: a photograph is due now."""
+
+    time_s: Annotated[Seconds, Meta(description="since the run's start")]
+    purpose: Annotated[Purpose, Meta(description="a frame of the run, or a picture of the empty setup")] = "run"
+    shot: Annotated[str, Meta(max_length=64, description="file name of a background picture")] = ""
+    late_s: Annotated[Seconds, Meta(description="how long after it was due")] = 0.0
+    skipped: Annotated[Count, Meta(description="beats left out because it was hopelessly late")] = 0
+
+
+@message("flash", owner="flora-flash", period="tick")
+class Flash(Message, kw_only=True, frozen=True):
+    """The flash lamp changed, or failed to."""
+
+    lit: Annotated[bool, Meta(description="what was asked of it")]
+    confirmed: Annotated[bool, Meta(description="whether the lamp says so too")]
+    time_s: Seconds = 0.0
+    purpose: Purpose = "run"
+    shot: Annotated[str, Meta(max_length=64)] = ""
+    reason: Annotated[Sentence, Meta(description="why it went dark, or what failed")] = ""
+
+
+@message("frame", owner="flora-capture", period="tick")
+class Frame(Message, kw_only=True, frozen=True):
+    """A photograph that is on the disk, whole, before this is said."""
+
+    time_s: Seconds
+    path: Annotated[RelativePath, Meta(description="inside the run folder")]
+    run: Annotated[Name, Meta(description="name of the run folder")]
+    sha256: Sha256
+    bytes: Count
+    width_px: Annotated[int, Meta(ge=1, le=20_000)]
+    height_px: Annotated[int, Meta(ge=1, le=20_000)]
+    light: Annotated[Light, Meta(description="lamp that shone when it was taken")]
+    flash_confirmed: bool
+    exposure_ok: Annotated[bool, Meta(description="the camera's own metadata equal the locked exposure")]
+    exposure_note: Annotated[Sentence, Meta(description="what differed")] = ""
+    exposure_us: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+    analogue_gain: Gain = 0.0
+    digital_gain: Gain = 0.0
+    red_gain: Gain = 0.0
+    blue_gain: Gain = 0.0
+    purpose: Purpose = "run"
+
+
+@message("frame_missed", owner="flora-capture", period="none")
+class FrameMissed(Message, kw_only=True, frozen=True):
+    """There is no photograph for this tick, and why."""
+
+    time_s: Seconds
+    because: MissedBecause
+    reason: Sentence
+    purpose: Purpose = "run"
+    shot: Annotated[str, Meta(max_length=64)] = ""
+
+
+@message("stem", owner="flora-stem", period="tick")
+class Stem(Message, kw_only=True, frozen=True):
+    """Ten points along the stem, anchor first, tip last; none where no stem was found."""
+
+    time_s: Seconds
+    outcome: Outcome
+    points_cm: Annotated[
+        tuple[Point, ...],
+        Meta(max_length=STEM_POINTS, description="(x, y): x right, y up, origin at the anchor; ten or none"),
+    ] = ()
+    quality: Annotated[Share, Meta(description="share of the ten heights that the picture itself shows")] = 0.0
+    light: Light = "dark"
+    method: Annotated[Name, Meta(description="how it was found")] = "paper"
+    frame_sha256: OptionalSha256 = ""
+    took_ms: Milliseconds = 0.0
+    reason: Sentence = ""
+
+
+@message("light", owner="flora-controller", period="tick")
+class LightCommand(Message, kw_only=True, frozen=True):
+    """Which lamp is to shine until the next tick."""
+
+    light: Light
+    time_s: Seconds = 0.0
+    output: Annotated[Share, Meta(description="the network's output; at most 0.5 means left")] = 0.0
+    blind: Annotated[bool, Meta(description="decided without a stem, by the blind policy")] = False
+    reason: Sentence = ""
+
+
+@message("controller", owner="flora-controller", period="tick")
+class ControllerState(Message, kw_only=True, frozen=True):
+    """What steers, and how well it does."""
+
+    controller: Annotated[Sentence, Meta(description="file name or built-in name")]
+    sha256: Annotated[OptionalSha256, Meta(description="of the controller file; empty for built-in ones")] = ""
+    time_s: Seconds = 0.0
+    fitness: Annotated[Fitness | None, Meta(description="the paper's F of the present tip")] = None
+    best_fitness: Fitness | None = None
+    tip_cm: Point | None = None
+    target_reached: bool = False
+    collided: Annotated[bool, Meta(description="the stem has touched the obstacle at some time")] = False
+    collided_at_s: Seconds | None = None
+    clearance_cm: Annotated[Cm | None, Meta(description="smallest distance of stem and obstacle so far")] = None
+    blind_ticks: Annotated[Count, Meta(description="ticks in a row without a stem")] = 0
+    decisions: Count = 0
+    switches: Annotated[Count, Meta(description="changes of lamp so far")] = 0
+    run_over: Annotated[bool, Meta(description="a stop rule holds: height reached, or obstacle touched")] = False
+    reason: Annotated[Sentence, Meta(description="the stop rule, or why a controller file was refused")] = ""
+
+
+@message("lamps", owner="flora-led", period="tick")
+class Lamps(Message, kw_only=True, frozen=True):
+    """What is really lit, read back from the bytes that went to the strips."""
+
+    lit: Light
+    commanded: Light
+    current_a: Annotated[Ampere, Meta(description="drawn by both strips together, computed from the bytes")] = 0.0
+    scale: Annotated[Share, Meta(description="brightness left over by the current cap; 1 is uncapped")] = 1.0
+    fallback: Annotated[bool, Meta(description="no fresh command: the stated fallback shines")] = False
+    setup_step: Annotated[Count, Meta(description="step of a setup run that this answers; 0 for none")] = 0
+    reason: Sentence = ""
+
+
+@message("setup", owner="flora-stem", period="none")
+class Setup(Message, kw_only=True, frozen=True):
+    """A setup run asks for lamps, then for a picture; the beat rests while it is active."""
+
+    active: bool
+    step: Annotated[Count, Meta(description="from 1; each step is one lamp state and one picture")] = 0
+    steps: Count = 0
+    lamps: Light = "dark"
+    shot: Annotated[str, Meta(max_length=64, pattern=r"^([a-z0-9][a-z0-9_-]*\.jpg)?$")] = ""
+
+
+@message("stored", owner="flora-uploader", period="none")
+class Stored(Message, kw_only=True, frozen=True):
+    """A file of record at the NAS, or why it is not."""
+
+    stage: Stage
+    path: Annotated[str, Meta(max_length=255)] = ""
+    sha256: OptionalSha256 = ""
+    bytes: Count = 0
+    destination: Sentence = ""
+    waiting: Annotated[Count, Meta(description="files of record not yet verified at the NAS")] = 0
+    stored: Annotated[Count, Meta(description="files verified so far")] = 0
+    reason: Sentence = ""
+
+
+@message("recording", owner="flora-recorder", period="none")
+class Recording(Message, kw_only=True, frozen=True):
+    """The recording that is being written."""
+
+    path: RelativePath
+    messages: Count = 0
+    bytes: Count = 0
+    bad: Annotated[Count, Meta(description="messages recorded raw because they do not fit the catalogue")] = 0
+    closed: bool = False
+
+
+@message("health", owner="every service", period="10 s", per_source=True)
+class Health(Message, kw_only=True, frozen=True):
+    """How a service is, in one word and one sentence."""
+
+    state: State
+    reason: Sentence = ""
+    version: Annotated[str, Meta(max_length=64)] = ""
+    config_sha256: OptionalSha256 = ""
+    uptime_s: Annotated[Seconds, Meta(description="real seconds")] = 0.0
+    resident_kib: Annotated[Count, Meta(description="resident memory")] = 0
+    sent: Count = 0
+    received: Count = 0
+    gaps: Annotated[Count, Meta(description="messages lost on the way here, by sequence number")] = 0
+    bad: Annotated[Count, Meta(description="messages that do not fit the catalogue")] = 0
+    unknown: Annotated[Count, Meta(description="messages of a kind that is not in the catalogue")] = 0
+    duplicates: Annotated[Count, Meta(description="kept values heard again, left out")] = 0
+    slowest_ms: Annotated[Milliseconds, Meta(description="longest step of the working loop since the last health")] = 0

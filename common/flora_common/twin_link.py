@@ -1,0 +1,87 @@
+"""The wire to the virtual grow box: what the ``virtual`` backends of camera, flash and strips speak.
+
+One request at a time over ZeroMQ REQ/ROUTER, msgpack maps both ways. The box restarts without its clients noticing
+more than a late answer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import zmq
+
+from flora_common.clock import NS, Clock, FollowerClock, LeaderClock
+from flora_common.errors import DeviceError
+
+START_TIMEOUT_S = 10.0
+
+
+class TwinGone(DeviceError):
+    """The virtual grow box does not answer, or refused."""
+
+
+class TwinLink:
+    """A client of ``flora-twin serve``.
+
+    Args:
+        address: its endpoint.
+        timeout_s: real seconds to wait for an answer before :class:`TwinGone`.
+    """
+
+    def __init__(self, address: str, *, timeout_s: float = 20.0, context: zmq.Context[Any] | None = None) -> None:
+        self.address = address
+        self._timeout_ms = round(timeout_s * 1000)
+        self._socket = (context or zmq.Context.instance()).socket(zmq.REQ)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        # A lost answer must not wedge the strict send/receive order of REQ, nor be taken for the next one's.
+        self._socket.setsockopt(zmq.REQ_RELAXED, 1)
+        self._socket.setsockopt(zmq.REQ_CORRELATE, 1)
+        self._socket.connect(address)
+
+    def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
+        """Send one operation and wait for its answer.
+
+        Raises:
+            TwinGone: no answer in time, or the box said no.
+        """
+        self._socket.send(msgspec.msgpack.encode({"op": op, **arguments}))
+        if not self._socket.poll(self._timeout_ms, zmq.POLLIN):
+            waited_s = self._timeout_ms / 1000
+            raise TwinGone(f"{self.address}: the virtual grow box did not answer `{op}` in {waited_s:g} s")
+        try:
+            answer = msgspec.msgpack.decode(self._socket.recv(), type=dict[str, Any])
+        except (ValueError, RecursionError) as problem:
+            raise TwinGone(f"{self.address}: the answer to `{op}` is not a msgpack map ({problem})") from problem
+        if answer.get("ok") is not True:
+            raise TwinGone(f"{self.address}: `{op}` refused: {str(answer.get('error'))[:200]}")
+        return answer
+
+    def now(self) -> tuple[int, int, float]:
+        """(mono_ns, utc_ns, rate) of the box."""
+        answer = self.ask("now")
+        return round(float(answer["time_s"]) * NS), int(answer["t_utc_ns"]), float(answer["rate"])
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def follower_clock(address: str) -> Clock:
+    """The clock of a service in the virtual rig, started at the box's time."""
+    link = TwinLink(address, timeout_s=START_TIMEOUT_S)
+    try:
+        mono_ns, utc_ns, rate = link.now()
+    finally:
+        link.close()
+    return FollowerClock(rate, mono_ns=mono_ns, utc_ns=utc_ns)
+
+
+def leader_clock(link: TwinLink) -> Clock:
+    """The clock of the beat in the virtual rig, over a link that it keeps."""
+
+    def wait(until_s: float) -> tuple[int, int]:
+        answer = link.ask("wait", until_s=until_s)
+        return round(float(answer["time_s"]) * NS), int(answer["t_utc_ns"])
+
+    mono_ns, utc_ns, rate = link.now()
+    return LeaderClock(rate, wait, mono_ns=mono_ns, utc_ns=utc_ns)

@@ -1,0 +1,220 @@
+"""Pictures from files or bytes, checked before they are believed.
+
+OpenCV 4, as on Raspberry Pi OS, decodes a JPEG that was cut short and fills the rest with grey, without a word;
+OpenCV 5 refuses it. So whether a file is complete is checked here, before the decoder, and both behave alike. One
+flipped bit inside a JPEG's picture data is accepted by every decoder: only the SHA-256 of the announcement finds that.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import struct
+import zlib
+from pathlib import Path
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from flora_common import files
+from flora_common.errors import BadPicture
+
+Picture = npt.NDArray[np.uint8]
+"""Shape (height, width, 3), channels blue, green, red, as OpenCV has them."""
+
+Reduction = Literal[1, 2, 4, 8]
+
+PICTURE_SUFFIXES: Final = (".jpg", ".jpeg", ".png")
+MAX_PIXELS: Final = 100_000_000
+"""Largest picture that is decoded. A forged header may claim gigapixels, and a Pi has no memory for them."""
+MAX_FILE_BYTES: Final = 256 << 20
+
+_JPEG_START: Final = b"\xff\xd8\xff"
+_JPEG_END: Final = b"\xff\xd9"
+_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+_DECODE_FLAGS: Final[dict[int, int]] = {
+    1: cv2.IMREAD_COLOR,
+    2: cv2.IMREAD_REDUCED_COLOR_2,
+    4: cv2.IMREAD_REDUCED_COLOR_4,
+    8: cv2.IMREAD_REDUCED_COLOR_8,
+}
+
+
+def read_picture(
+    path: Path,
+    *,
+    expected_size: tuple[int, int] | None = None,
+    reduction: Reduction = 1,
+    sha256: str | None = None,
+) -> Picture:
+    """Read and decode a picture file; arguments and errors as in :func:`decode_picture`."""
+    return decode_picture(
+        read_picture_bytes(path), where=str(path), expected_size=expected_size, reduction=reduction, sha256=sha256
+    )
+
+
+def read_picture_bytes(path: Path) -> bytes:
+    """The bytes of a picture file.
+
+    Raises:
+        BadPicture: missing, not readable, not a regular file (a pipe would block for ever), or too large.
+    """
+    try:
+        # not waiting for a writer: a named pipe in a picture's place must not stop the service
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise BadPicture(f"{path}: not a regular file")
+            if status.st_size > MAX_FILE_BYTES:
+                raise BadPicture(f"{path}: {status.st_size} bytes; a picture may have {MAX_FILE_BYTES}")
+            return file.read()
+    except OSError as problem:
+        raise BadPicture(f"{path}: cannot be read ({problem.strerror})") from problem
+
+
+def decode_picture(
+    data: bytes,
+    *,
+    where: str,
+    expected_size: tuple[int, int] | None = None,
+    reduction: Reduction = 1,
+    sha256: str | None = None,
+) -> Picture:
+    """Decode a JPEG or PNG.
+
+    Args:
+        data: the whole file.
+        where: its name, for messages.
+        expected_size: (width, height) in px of the full picture; another size is refused before decoding.
+        reduction: 1, 2, 4 or 8; the picture is decoded at this fraction of its size, which for a JPEG is also faster.
+        sha256: 64 hex digits that the bytes must have.
+
+    Returns:
+        Shape (height, width, 3), uint8, blue-green-red. An orientation noted in the file is not applied: positions are
+        those of the sensor.
+
+    Raises:
+        BadPicture: empty, another format, cut short, damaged, of the wrong size, or not what was announced.
+    """
+    if reduction not in _DECODE_FLAGS:
+        raise BadPicture(f"{where}: cannot be reduced {reduction} times; 1, 2, 4 or 8")
+    if not data:
+        raise BadPicture(f"{where}: is empty (0 bytes)")
+    if sha256 is not None and (found := files.sha256_of_bytes(data)) != sha256.lower():
+        raise BadPicture(
+            f"{where}: SHA-256 is {found[:12]}…, announced was {sha256[:12]}…; not the picture that was taken"
+        )
+    width, height = picture_size(data, where=where)
+    if expected_size is not None and (width, height) != tuple(expected_size):
+        raise BadPicture(f"{where}: is {width}x{height} px, expected {expected_size[0]}x{expected_size[1]}")
+    try:
+        decoded = cv2.imdecode(
+            np.frombuffer(data, dtype=np.uint8), _DECODE_FLAGS[reduction] | cv2.IMREAD_IGNORE_ORIENTATION
+        )
+    except cv2.error as problem:
+        raise BadPicture(f"{where}: cannot be decoded ({_first_line(problem)})") from problem
+    if decoded is None:
+        raise BadPicture(f"{where}: cannot be decoded; the file is damaged")
+    return checked_array(np.asarray(decoded, dtype=np.uint8), where=where)
+
+
+def picture_size(data: bytes, *, where: str) -> tuple[int, int]:
+    """(width, height) in px from a JPEG's or PNG's header, after checking that the file is complete.
+
+    Raises:
+        BadPicture: another format, cut short, damaged, no pixels, or more than :data:`MAX_PIXELS`.
+    """
+    if data.startswith(_PNG_START):
+        width, height = _png_size(data, where)
+    elif data.startswith(_JPEG_START):
+        width, height = _jpeg_size(data, where)
+    else:
+        raise BadPicture(f"{where}: neither JPEG nor PNG (starts with {data[:4].hex(' ')})")
+    if width == 0 or height == 0:
+        raise BadPicture(f"{where}: header says {width}x{height} px; no picture")
+    if width * height > MAX_PIXELS:
+        raise BadPicture(
+            f"{where}: header says {width}x{height} px; at most {MAX_PIXELS // 1_000_000} million are read"
+        )
+    return width, height
+
+
+def checked_array(picture: npt.NDArray[np.uint8], *, where: str) -> Picture:
+    """The array itself, after a check that it is a colour picture.
+
+    Raises:
+        BadPicture: not an array of uint8 with shape (height, width, 3), or without pixels.
+    """
+    if not isinstance(picture, np.ndarray):
+        raise BadPicture(f"{where}: not a picture but {type(picture).__name__}")
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        raise BadPicture(f"{where}: expected an 8-bit colour picture, got {picture.dtype} of shape {picture.shape}")
+    if picture.size == 0:
+        raise BadPicture(f"{where}: has no pixels")
+    return picture
+
+
+def reduced_size(size: tuple[int, int], reduction: int) -> tuple[int, int]:
+    """(width, height) of a picture decoded at 1/reduction: libjpeg rounds up."""
+    return -(-size[0] // reduction), -(-size[1] // reduction)
+
+
+def reduce_picture(picture: Picture, reduction: Reduction) -> Picture:
+    """A decoded picture at 1/reduction of its size, by averaging areas: for film frames, which come whole."""
+    if reduction == 1:
+        return picture
+    size = reduced_size((picture.shape[1], picture.shape[0]), reduction)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _jpeg_size(data: bytes, where: str) -> tuple[int, int]:
+    """Walk the marker segments to the frame header (ITU T.81, annex B)."""
+    if not data.endswith(_JPEG_END):
+        raise BadPicture(f"{where}: JPEG is cut short ({len(data)} bytes, no end marker)")
+    at = 2
+    while at + 4 <= len(data):
+        if data[at] != 0xFF:
+            raise BadPicture(f"{where}: JPEG is damaged (no marker at byte {at})")
+        marker = data[at + 1]
+        if marker == 0xFF:  # fill byte
+            at += 1
+            continue
+        if marker == 0x01 or 0xD0 <= marker <= 0xD8:  # markers without a segment
+            at += 2
+            continue
+        if marker in (0xD9, 0xDA):
+            break
+        (length,) = struct.unpack_from(">H", data, at + 2)
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            if at + 9 > len(data):
+                break
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        at += 2 + max(length, 2)
+    raise BadPicture(f"{where}: JPEG is damaged (no frame header before the picture data)")
+
+
+def _png_size(data: bytes, where: str) -> tuple[int, int]:
+    """Walk the chunks, each with its own check sum, to the end (PNG specification, section 5)."""
+    at, size = len(_PNG_START), (0, 0)
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        kind, end = data[at + 4 : at + 8], at + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(data[at + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise BadPicture(f"{where}: PNG is damaged (check sum of the chunk at byte {at} is wrong)")
+        if at == len(_PNG_START):
+            if kind != b"IHDR" or length != 13:
+                raise BadPicture(f"{where}: PNG is damaged (does not begin with its header)")
+            size = struct.unpack_from(">II", data, at + 8)
+        if kind == b"IEND":
+            return size
+        at = end
+    raise BadPicture(f"{where}: PNG is cut short ({len(data)} bytes, no end chunk)")
+
+
+def _first_line(problem: cv2.error) -> str:
+    return str(problem).strip().splitlines()[0][:120]

@@ -1,0 +1,142 @@
+"""The proxy: what is published goes to all who subscribed; the last value of kept topics waits for late joiners.
+
+Everything is in one thread, so a subscription and the values kept for it cannot cross. The bus looks at the form of a
+message, not at its content: receivers check that, each for itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+import zmq
+
+from flora_common.bus import HELLO_PREFIX, HIGH_WATER_MARK, MAX_FRAME_BYTES, BusAddress, kept_kinds
+from flora_common.messages import MAX_PAYLOAD_BYTES
+from flora_common.messages.wire import MAX_TOPIC_BYTES, TOPIC_PATTERN
+
+BATCH: Final = 512
+"""Messages moved before subscriptions and timers get their turn."""
+
+MAX_KEPT: Final = 4096
+"""Last values kept; more topics than that come only from a faulty or hostile publisher."""
+
+SUBSCRIBE: Final = b"\x01"
+
+
+class _Source(msgspec.Struct):
+    source: str
+
+
+_SOURCE: Final = msgspec.msgpack.Decoder(_Source)
+
+
+@dataclass(slots=True)
+class BrokerCounters:
+    """Messages passed on, and refused by their form."""
+
+    passed: int = 0
+    malformed: int = 0
+
+
+class LastValues:
+    """The last message of every kept topic."""
+
+    def __init__(self) -> None:
+        self._kinds = kept_kinds()
+        self._kept: dict[tuple[bytes, str], list[bytes]] = {}
+
+    def keep(self, parts: list[bytes]) -> None:
+        """Remember a message of the right form if its kind is kept."""
+        per_source = self._kinds.get(parts[0].rpartition(b"/")[2])
+        if per_source is None:
+            return
+        source = ""
+        if per_source:
+            try:
+                source = _SOURCE.decode(parts[1]).source
+            except (ValueError, RecursionError):
+                return  # receivers will count it as bad
+        key = (parts[0], source)
+        if key in self._kept or len(self._kept) < MAX_KEPT:
+            self._kept[key] = parts
+
+    def matching(self, prefix: bytes) -> list[list[bytes]]:
+        """Kept messages whose topic starts with ``prefix``."""
+        return [parts for (topic, _), parts in self._kept.items() if topic.startswith(prefix)]
+
+
+class Broker:
+    """XSUB on one side, XPUB on the other.
+
+    Args:
+        address: endpoints to bind: services publish to the first and subscribe at the second.
+    """
+
+    def __init__(self, address: BusAddress, *, context: zmq.Context[Any] | None = None) -> None:
+        context = context or zmq.Context.instance()
+        self.counters = BrokerCounters()
+        self._values = LastValues()
+        self.incoming = context.socket(zmq.XSUB)
+        self.outgoing = context.socket(zmq.XPUB)
+        for socket in (self.incoming, self.outgoing):
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
+            socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
+            socket.setsockopt(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
+        # Repeated subscriptions are told as well: each late joiner gets its last values.
+        self.outgoing.setsockopt(zmq.XPUB_VERBOSE, 1)
+        self.incoming.bind(address.publish)
+        self.outgoing.bind(address.subscribe)
+        self.incoming.send(SUBSCRIBE)
+
+    def pass_on(self) -> None:
+        """Move a batch of published messages; call when ``incoming`` is readable."""
+        receive, send, counters, values = (
+            self.incoming.recv_multipart,
+            self.outgoing.send_multipart,
+            self.counters,
+            self._values,
+        )
+        for _ in range(BATCH):
+            try:
+                parts = receive(zmq.DONTWAIT)
+            except zmq.Again:
+                return
+            if not well_formed(parts):
+                counters.malformed += 1
+                continue
+            values.keep(parts)
+            counters.passed += 1
+            send(parts)
+
+    def serve_subscriptions(self) -> None:
+        """Answer new subscriptions with what is kept; call when ``outgoing`` is readable."""
+        while True:
+            try:
+                event = self.outgoing.recv(zmq.DONTWAIT)
+            except zmq.Again:
+                return
+            if event[:1] != SUBSCRIBE:
+                continue
+            prefix = event[1:]
+            if prefix.startswith(HELLO_PREFIX):
+                self.outgoing.send_multipart([prefix, b"\x80", b"0"])
+                continue
+            for parts in self._values.matching(prefix):
+                self.outgoing.send_multipart(parts)
+
+    def close(self) -> None:
+        self.incoming.close()
+        self.outgoing.close()
+
+
+def well_formed(parts: list[bytes]) -> bool:
+    """Three frames or more, a topic of the form ``<rig>/<kind>``, a payload that can be a message."""
+    return (
+        len(parts) >= 3
+        and len(parts[0]) <= MAX_TOPIC_BYTES
+        and 0 < len(parts[1]) <= MAX_PAYLOAD_BYTES
+        and TOPIC_PATTERN.match(parts[0]) is not None
+    )

@@ -1,0 +1,50 @@
+"""flora-bus: start the proxy, and be its first customer: READY is said when our own hello has come back through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import zmq
+
+from flora_bus.broker import Broker
+from flora_common.errors import BusUnreachable
+from flora_common.files import make_folder
+from flora_common.service import App, run_service
+
+
+class BusSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[bus]``: nothing to set; the endpoints are in ``[rig]``, because all services need them."""
+
+
+def build(app: App[BusSection]) -> None:
+    for endpoint in (app.rig.bus_publish, app.rig.bus_subscribe):
+        if endpoint.startswith("ipc://"):
+            make_folder(Path(endpoint.removeprefix("ipc://")).parent)
+    try:
+        broker = Broker(app.rig.bus)
+    except zmq.ZMQError as problem:
+        raise BusUnreachable(
+            f"cannot listen at {app.rig.bus_publish} and {app.rig.bus_subscribe}: {problem.strerror}"
+        ) from problem
+    app.on_readable(broker.incoming, broker.pass_on)
+    app.on_readable(broker.outgoing, broker.serve_subscriptions)
+    app.on_exit(broker.close)
+    reported = 0
+
+    def report() -> None:
+        nonlocal reported
+        malformed = broker.counters.malformed
+        if malformed != reported:
+            app.bus.counters.bad += malformed - reported
+            app.log.warning("malformed_messages", new=malformed - reported, all=malformed)
+            reported = malformed
+
+    app.every(5.0, report)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run_service(
+        "flora-bus", BusSection, build, argv=argv, description="The message bus: XSUB/XPUB proxy with last values."
+    )
