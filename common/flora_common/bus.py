@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, Literal, TypeVar, cast
 
 import msgspec
 import zmq
@@ -32,6 +32,9 @@ MAX_FRAME_BYTES: Final = 1 << 20
 """A longer frame ends the connection of whoever sends it, before memory is taken for it."""
 
 OUTBOX_LIMIT: Final = 1000
+MAX_STREAMS: Final = 4096
+"""(rig, topic, source) whose sequence numbers are followed; more come only from a faulty or hostile publisher."""
+
 HELLO_PREFIX: Final = b"~hello/"
 LATE_FACTOR: Final = 2.5
 """A topic is late when nothing came for this many of its periods."""
@@ -52,6 +55,27 @@ class Counters:
     dropped: int = 0
 
 
+class Arrival(msgspec.Struct, frozen=True):
+    """What came over the wire, and what the checks say of it.
+
+    Attributes:
+        parts: the frames as they came.
+        verdict: ``bad`` does not fit the catalogue, ``unknown`` is of no kind of the catalogue, ``repeated`` was here
+            before, by its sequence number.
+        rig: first part of the topic; empty where the message could not be read.
+        message: the message; None where it could not be read.
+        lost: messages lost just before this one.
+        reason: what is wrong with a bad or unknown one.
+    """
+
+    parts: list[bytes]
+    verdict: Literal["good", "bad", "unknown", "repeated"]
+    rig: str = ""
+    message: Message | None = None
+    lost: int = 0
+    reason: str = ""
+
+
 class SequenceCheck:
     """Finds holes and repeats in the sequence numbers of each (rig, topic, source, session)."""
 
@@ -64,6 +88,8 @@ class SequenceCheck:
         session, last = self._last.get(key, ("", 0))
         if message.session == session and message.seq <= last:
             return -1
+        if not session and len(self._last) >= MAX_STREAMS:
+            del self._last[next(iter(self._last))]  # the one that was first heard longest ago
         self._last[key] = (message.session, message.seq)
         return message.seq - last - 1 if message.session == session else 0
 
@@ -210,6 +236,8 @@ class BusClient:
         if self._bus_listens:
             self._send(parts)
         else:
+            if len(self._out.outbox) == OUTBOX_LIMIT:
+                self.counters.dropped += 1  # the oldest makes room
             self._out.outbox.append(parts)
 
     def _send(self, parts: list[bytes]) -> None:
@@ -234,38 +262,41 @@ class BusClient:
 
     def receive(self, limit: int = 256) -> list[tuple[str, Message]]:
         """Up to ``limit`` (rig, message) that have arrived; never waits. Bad and repeated ones are only counted."""
-        messages: list[tuple[str, Message]] = []
+        return [(a.rig, a.message) for a in self.receive_all(limit) if a.verdict == "good" and a.message is not None]
+
+    def receive_all(self, limit: int = 256) -> list[Arrival]:
+        """Up to ``limit`` arrivals of any kind, bad and repeated ones too; never waits. All are counted."""
+        arrivals: list[Arrival] = []
         for _ in range(limit):
             try:
                 parts = self.subscriber.recv_multipart(zmq.DONTWAIT)
             except zmq.Again:
                 break
-            if parts[0] == self._hello:
-                self._bus_answered = True
+            if parts[0].startswith(HELLO_PREFIX):
+                # Somebody else's is heard by those who subscribe to everything.
+                self._bus_answered = self._bus_answered or parts[0] == self._hello
                 continue
-            checked = self._check(parts)
-            if checked is not None:
-                messages.append(checked)
-        return messages
+            arrivals.append(self._check(parts))
+        return arrivals
 
-    def _check(self, parts: list[bytes]) -> tuple[str, Message] | None:
+    def _check(self, parts: list[bytes]) -> Arrival:
         try:
             rig, message = decode(parts)
-        except BadMessage:
+        except BadMessage as problem:
             if len(parts) >= 3 and not is_known(parts[0]):
                 self.counters.unknown += 1
-            else:
-                self.counters.bad += 1
-            return None
+                return Arrival(parts, "unknown", reason=str(problem))
+            self.counters.bad += 1
+            return Arrival(parts, "bad", reason=str(problem))
         lost = self._sequence.check(rig, spec_of(type(message)).kind, message)
         if lost < 0:
             self.counters.duplicates += 1
-            return None
+            return Arrival(parts, "repeated", rig, message)
         self.counters.gaps += lost
         self.counters.received += 1
         if rig == self.rig:
             self._clock.observe(message.t_mono_ns, message.t_utc_ns)
-        return rig, message
+        return Arrival(parts, "good", rig, message, lost)
 
     def close(self) -> None:
         """Send what is left, for half a second at most, and close."""

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, cast
 
-from flora_common.errors import FloraError
+from flora_common.errors import BadInput, FloraError
+
+if TYPE_CHECKING:
+    import typer
 
 INTERRUPTED_STATUS = 130
 
@@ -35,3 +39,31 @@ def run_cli(program: str, work: Callable[[], int | None]) -> int:
         # Whoever read our output has gone (`flora-monitor tail | head`): not an error, and nobody to tell.
         sys.stderr.close()
         return 0
+
+
+def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] | None = None) -> int:
+    """Run a Typer command line as :func:`run_cli` does; wrong arguments are bad input, told in one line.
+
+    Args:
+        program: the command.
+        app: makes the command line.
+        argv: arguments without the program name; ``sys.argv`` where None.
+    """
+    import typer  # noqa: PLC0415 - only for the commands that people type; services start without it
+
+    # By version, Typer brings its own copy of click or uses the installed one; the base of its public error fits both.
+    usage_error = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
+    arguments = list(sys.argv[1:] if argv is None else argv)
+
+    def work() -> int:
+        try:
+            result = app()(args=arguments or ["--help"], prog_name=program, standalone_mode=False)
+        except usage_error as problem:
+            subcommand = f"{arguments[0]} " if arguments and not arguments[0].startswith("-") else ""
+            message = " ".join(problem.format_message().split())
+            raise BadInput(f"{message} (see {program} {subcommand}--help)") from problem
+        except typer.Abort:
+            raise KeyboardInterrupt from None
+        return result if isinstance(result, int) else 0
+
+    return run_cli(program, work)

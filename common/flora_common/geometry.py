@@ -152,6 +152,9 @@ def resample_by_height(centreline_cm: npt.ArrayLike, count: int = STEM_POINTS) -
     heights = np.linspace(line[0, 1], line[-1, 1], count)
     out = np.empty((count, 2))
     out[0], out[-1] = line[0], line[-1]
+    if (np.diff(line[:, 1]) > 0).all():  # the usual case, and some ten times faster than looking for each crossing
+        out[1:-1, 0], out[1:-1, 1] = np.interp(heights[1:-1], line[:, 1], line[:, 0]), heights[1:-1]
+        return out
     for i in range(1, count - 1):
         below = line[:, 1] - heights[i]
         crossing = np.nonzero((below[:-1] <= 0) & (below[1:] > 0) | (below[:-1] >= 0) & (below[1:] < 0))[0]

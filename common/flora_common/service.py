@@ -35,7 +35,7 @@ import zmq
 
 from flora_common import clock as clocks
 from flora_common import twin_link
-from flora_common.bus import BusClient, Freshness
+from flora_common.bus import Arrival, BusClient, Freshness
 from flora_common.cli import run_cli, version_line
 from flora_common.config import RigSection, config_text, load_config
 from flora_common.errors import BadInput, ConfigError, FloraError
@@ -96,6 +96,7 @@ class App(Generic[S]):
         self.bus = BusClient(rig.bus, rig=rig.name, source=name, clock=clock)
         self.inbox = Freshness(clock, tick_s=self._tick_s())
         self._handlers: dict[type[Message], list[Handler]] = {}
+        self._raw_handlers: list[Callable[[Arrival], None]] = []
         self._timers: list[tuple[float, int, Timer]] = []
         self._order = itertools.count()
         self._readable: dict[Any, Callable[[], None]] = {}
@@ -124,6 +125,11 @@ class App(Generic[S]):
         if type_ not in self._handlers:
             self.bus.subscribe(type_)
         self._handlers.setdefault(type_, []).append(handler)
+
+    def on_raw(self, handler: Callable[[Arrival], None]) -> None:
+        """Call ``handler`` with everything of its own rig as it came, bad, unknown and repeated messages included."""
+        self.bus.subscribe_prefixes(f"{self.rig.name}/".encode())
+        self._raw_handlers.append(handler)
 
     def on_readable(self, source: Any, handler: Callable[[], None]) -> None:
         """Call ``handler`` when a ZeroMQ socket or file descriptor can be read."""
@@ -215,19 +221,23 @@ class App(Generic[S]):
         self._slowest_s = max(self._slowest_s, time.monotonic() - began_s)
         self.notifier.alive()
 
-    def _guarded(self, call: Callable[[], None]) -> None:
+    def _guarded(self, call: Callable[..., None], *arguments: Any) -> None:
         try:
-            call()
+            call(*arguments)
         except FloraError as problem:
             # Expected: told, and the service goes on. Anything else is a bug and ends the process with its traceback.
             self.state("degraded", str(problem)[:500])
 
     def _receive(self) -> None:
-        for rig, message in self.bus.receive():
-            if rig == self.rig.name:
+        # Each handler is guarded by itself: one that fails must not take the rest of what has arrived with it.
+        for arrival in self.bus.receive_all():
+            for raw_handler in self._raw_handlers:
+                self._guarded(raw_handler, arrival)
+            message = arrival.message
+            if message is not None and arrival.verdict == "good" and arrival.rig == self.rig.name:
                 self.inbox.hear(spec_of(type(message)).kind, message)
                 for handler in self._handlers.get(type(message), ()):
-                    handler(message)
+                    self._guarded(handler, message)
 
     def _become_ready(self) -> None:
         self._is_ready = True

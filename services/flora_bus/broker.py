@@ -20,7 +20,8 @@ BATCH: Final = 512
 """Messages moved before subscriptions and timers get their turn."""
 
 MAX_KEPT: Final = 4096
-"""Last values kept; more topics than that come only from a faulty or hostile publisher."""
+MAX_KEPT_BYTES: Final = 4 << 20
+"""Last values kept, in number and bytes; more come only from a faulty or hostile publisher. A rig has about twenty."""
 
 SUBSCRIBE: Final = b"\x01"
 
@@ -41,11 +42,12 @@ class BrokerCounters:
 
 
 class LastValues:
-    """The last message of every kept topic."""
+    """The last message of every kept topic, oldest first. When there is no more room, the oldest goes."""
 
     def __init__(self) -> None:
         self._kinds = kept_kinds()
         self._kept: dict[tuple[bytes, str], list[bytes]] = {}
+        self._bytes = 0
 
     def keep(self, parts: list[bytes]) -> None:
         """Remember a message of the right form if its kind is kept."""
@@ -59,8 +61,14 @@ class LastValues:
             except (ValueError, RecursionError):
                 return  # receivers will count it as bad
         key = (parts[0], source)
-        if key in self._kept or len(self._kept) < MAX_KEPT:
-            self._kept[key] = parts
+        kept = parts[:3]
+        before = self._kept.pop(key, None)
+        if before is not None:
+            self._bytes -= sum(map(len, before))
+        self._kept[key] = kept
+        self._bytes += sum(map(len, kept))
+        while len(self._kept) > MAX_KEPT or self._bytes > MAX_KEPT_BYTES:
+            self._bytes -= sum(map(len, self._kept.pop(next(iter(self._kept)))))
 
     def matching(self, prefix: bytes) -> list[list[bytes]]:
         """Kept messages whose topic starts with ``prefix``."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import zmq
 
-from flora_bus.broker import Broker
+from flora_bus.broker import Broker, BrokerCounters
 from flora_common.errors import BusUnreachable
 from flora_common.files import make_folder
 from flora_common.service import App, run_service
@@ -28,19 +28,28 @@ def build(app: App[BusSection]) -> None:
         raise BusUnreachable(
             f"cannot listen at {app.rig.bus_publish} and {app.rig.bus_subscribe}: {problem.strerror}"
         ) from problem
-    app.on_readable(broker.incoming, broker.pass_on)
-    app.on_readable(broker.outgoing, broker.serve_subscriptions)
-    app.on_exit(broker.close)
+    seen = BrokerCounters()
     reported = 0
+
+    def pass_on() -> None:
+        # Its own health says what went through: received is everything that came, sent what was passed on.
+        broker.pass_on()
+        ours, theirs = app.bus.counters, broker.counters
+        ours.received += theirs.passed - seen.passed + theirs.malformed - seen.malformed
+        ours.sent += theirs.passed - seen.passed
+        ours.bad += theirs.malformed - seen.malformed
+        seen.passed, seen.malformed = theirs.passed, theirs.malformed
 
     def report() -> None:
         nonlocal reported
         malformed = broker.counters.malformed
         if malformed != reported:
-            app.bus.counters.bad += malformed - reported
             app.log.warning("malformed_messages", new=malformed - reported, all=malformed)
             reported = malformed
 
+    app.on_readable(broker.incoming, pass_on)
+    app.on_readable(broker.outgoing, broker.serve_subscriptions)
+    app.on_exit(broker.close)
     app.every(5.0, report)
 
 

@@ -24,9 +24,9 @@ class PlantParameters:
     """Stem length at time 0. Wahby et al. 2018: first height of a run."""
     initial_lean_rad: float = 0.0
     """Lean of the seedling in the picture plane, positive to the right. Estimate."""
-    growth_early_cm_per_day: float = 3.6
+    growth_early_cm_per_day: float = 3.9
     """Elongation at ``initial_length_cm`` = 6.5. Checa et al. 2008 through Wahby et al. 2018: 3 cm/day on average."""
-    growth_late_cm_per_day: float = 7.6
+    growth_late_cm_per_day: float = 7.8
     """Elongation at 22 cm and above. Wahby et al. 2018: about 7 cm/day late, 21 cm after about 72 h."""
     final_length_cm: float = 60.0
     """Where elongation ends without a support to climb. Estimate."""
@@ -43,7 +43,7 @@ class PlantParameters:
     mature_cm: float = 13.0
     """Distance from the tip where tissue stops bending altogether (lignified). Estimate: the stem of Wahby et al. 2018
     keeps its curve for days."""
-    photoception_per_cm_h: float = 0.33
+    photoception_per_cm_h: float = 0.31
     """nu, towards one full lamp at the anchor's distance. Estimate: the swing of Wahby et al. 2018, section on reality."""
     graviception_per_cm_h: float = 0.26
     """beta. Estimate: ratio of photo- to graviception about 2, Bastien et al. 2015 (M)."""

@@ -98,6 +98,11 @@ class Plants:
         return total
 
     @property
+    def segments(self) -> npt.NDArray[np.int64]:
+        """Number of segments in use, shape (batch,)."""
+        return np.asarray((self._length > 0).sum(axis=1), dtype=np.int64)
+
+    @property
     def leaf_nodes_cm(self) -> FloatArray:
         """Distance along the stem from the anchor to the nodes of primary pair and trifoliate, shape (batch, 2)."""
         return self._nodes.copy()
@@ -110,6 +115,10 @@ class Plants:
         line = np.zeros((self.batch, self._length.shape[1] + 1, 3))
         np.cumsum(np.moveaxis(self._tangent * self._length, 0, 2), axis=1, out=line[:, 1:])
         return line
+
+    def line_cm(self, i: int) -> FloatArray:
+        """Centreline of plant ``i`` without repeated points, shape (n, 3)."""
+        return self.centreline_cm()[i, : self.segments[i] + 1]
 
     def tip_cm(self) -> FloatArray:
         """Tips, shape (batch, 3)."""

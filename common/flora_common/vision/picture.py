@@ -109,15 +109,21 @@ def decode_picture(
     width, height = picture_size(data, where=where)
     if expected_size is not None and (width, height) != tuple(expected_size):
         raise BadPicture(f"{where}: is {width}x{height} px, expected {expected_size[0]}x{expected_size[1]}")
+    is_jpeg = data.startswith(_JPEG_START)
+    # OpenCV reduces a PNG by picking samples, which breaks thin stems; a JPEG is averaged by its decoder.
+    flags = _DECODE_FLAGS[reduction if is_jpeg else 1] | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        decoded = cv2.imdecode(
-            np.frombuffer(data, dtype=np.uint8), _DECODE_FLAGS[reduction] | cv2.IMREAD_IGNORE_ORIENTATION
-        )
+        decoded = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as problem:
         raise BadPicture(f"{where}: cannot be decoded ({_first_line(problem)})") from problem
     if decoded is None:
         raise BadPicture(f"{where}: cannot be decoded; the file is damaged")
-    return checked_array(np.asarray(decoded, dtype=np.uint8), where=where)
+    picture = checked_array(np.asarray(decoded, dtype=np.uint8), where=where)
+    if not is_jpeg:
+        picture = reduce_picture(picture, reduction)
+    if (picture.shape[1], picture.shape[0]) != reduced_size((width, height), reduction):
+        raise BadPicture(f"{where}: header says {width}x{height} px, the picture data something else; it is damaged")
+    return picture
 
 
 def picture_size(data: bytes, *, where: str) -> tuple[int, int]:
@@ -162,11 +168,16 @@ def reduced_size(size: tuple[int, int], reduction: int) -> tuple[int, int]:
 
 
 def reduce_picture(picture: Picture, reduction: Reduction) -> Picture:
-    """A decoded picture at 1/reduction of its size, by averaging areas: for film frames, which come whole."""
+    """A decoded picture at 1/reduction of its size, by averaging squares: for film frames and PNGs."""
     if reduction == 1:
         return picture
-    size = reduced_size((picture.shape[1], picture.shape[0]), reduction)
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    height, width = picture.shape[:2]
+    size = reduced_size((width, height), reduction)
+    # Filled up to whole squares, so that each reduced pixel stands for exactly reduction x reduction full ones.
+    whole = cv2.copyMakeBorder(
+        picture, 0, size[1] * reduction - height, 0, size[0] * reduction - width, cv2.BORDER_REPLICATE
+    )
+    return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _jpeg_size(data: bytes, where: str) -> tuple[int, int]:

@@ -1,0 +1,56 @@
+# Everything that people and CI do. `make help` lists it.
+VENV   := .venv
+BIN    := $(VENV)/bin
+EXTRAS ?= rig,dev
+comma  := ,
+STAMP  := $(VENV)/.extras-$(subst $(comma),-,$(EXTRAS))
+SEED   ?= 1
+SPEED  ?= lockstep
+
+.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader bench pins clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
+
+setup: $(STAMP)  ## make .venv with all that demo and tests need
+
+$(STAMP): pyproject.toml deploy/constraints.txt deploy/make-venv.sh
+	@deploy/make-venv.sh $(VENV) '$(EXTRAS)'
+	@touch $@
+
+demo: setup  ## grow a virtual bean round an obstacle with all services; result in out/ (SPEED=lockstep|realtime|N, SEED=1)
+	@$(BIN)/flora-twin demo --out out --seed $(SEED) --speed $(SPEED)
+
+test: setup  ## run the tests
+	@$(BIN)/python -m pytest
+
+test-slow: setup  ## the tests that take minutes
+	@$(BIN)/python -m pytest -m slow
+
+lint: setup  ## format, lint, types, import contracts
+	@$(BIN)/ruff format --check --quiet . && echo "ok  format"
+	@$(BIN)/ruff check --quiet . && echo "ok  lint"
+	@$(BIN)/mypy --no-error-summary && echo "ok  types"
+	@$(BIN)/lint-imports --no-logo 2>/dev/null | grep -q 'Contracts: .* 0 broken' && echo "ok  imports" || { $(BIN)/lint-imports; exit 1; }
+
+format: setup  ## put the code into its form
+	@$(BIN)/ruff check --fix --quiet . ; $(BIN)/ruff format --quiet .
+
+messages: setup  ## write the message reference page and JSON Schema from the catalogue
+	@$(BIN)/python -m flora_common.messages docs/reference
+
+fuzz: setup  ## a million malformed frames against the services
+	@FLORA_FUZZ=1000000 $(BIN)/python -m pytest tests/rig/test_bus_fuzz.py
+
+kill-uploader: setup  ## kill the uploader at every system call of a transfer
+	@FLORA_KILL_ALL=1 $(BIN)/python -m pytest -s tests/rig/test_uploader_kill.py
+
+bench: setup  ## the benchmarks: latency, throughput, memory, idle load
+	@for file in tests/bench/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+pins: setup  ## write deploy/constraints.txt from the environment
+	@{ echo "# The versions that flora is tested with. \`make pins\` writes this file from the environment."; \
+	   $(BIN)/python -m pip freeze --exclude-editable; } > deploy/constraints.txt
+
+clean:  ## remove the environment and all results
+	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,0 +1,254 @@
+"""``*.controller.json``: an evolved network, what it wants to be fed, and where it comes from.
+
+One JSON object, at most 1 MB::
+
+    {"format": "flora-controller", "version": 1, "name": "left-target-17",
+     "network": { neat-python's JSON export, format_version 1.0, network_type feedforward },
+     "inputs": [{"name": "x1", "offset": 0.0, "scale": 25.0}, …],
+     "output_rule": "at most 0.5 is left",
+     "task": {"name": "left", "target": {"x_cm": -5.12, "y_cm": 17.9, "radius_cm": 2.0},
+              "obstacles": [{"x_cm": -6.3, "y_cm": 12.5, "width_cm": 7.0, "height_cm": 3.0}]},
+     "provenance": {"simulator_sha256": "…", "seed": 1},
+     "signature": null}
+
+The network is fed ``(x - offset) / scale`` for each entry of ``inputs``, in that order. The names are those of
+:data:`INPUT_NAMES`: ten points, target, and the obstacle as its four edges (left, bottom, right, top), all in cm; a
+controller may leave out those that it does not use. Its single output C means left where C <= 0.5, otherwise right
+(Wahby et al. 2018, section "Evolutionary approach").
+
+Never a pickle: loading one runs whatever is in it. Unknown keys, keys given twice, numbers that are not finite,
+functions that neat-python does not define and networks with cycles are refused, each with one line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+
+from flora_common.errors import BadController
+from flora_common.files import sha256_of_bytes
+from flora_common.geometry import STEM_POINTS, Obstacle, Target
+from flora_common.network import Network
+from flora_common.network_export import NetworkExport, Number, Strict, network_from
+from flora_common.runs import ObstacleSection, TargetSection
+from flora_common.suggest import did_you_mean
+from flora_common.toml_strict import convert
+
+SUFFIX: Final = ".controller.json"
+MAX_BYTES: Final = 1_000_000
+OUTPUT_RULE: Final = "at most 0.5 is left"
+
+POINT_NAMES: Final = tuple(f"{axis}{i}" for i in range(1, STEM_POINTS + 1) for axis in "xy")
+TARGET_NAMES: Final = ("target_x", "target_y")
+OBSTACLE_NAMES: Final = ("obstacle_left", "obstacle_bottom", "obstacle_right", "obstacle_top")
+INPUT_NAMES: Final = POINT_NAMES + TARGET_NAMES + OBSTACLE_NAMES
+"""The 26 inputs of the paper, in its order."""
+
+Text = Annotated[str, msgspec.Meta(max_length=1000)]
+Label = Annotated[str, msgspec.Meta(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+class InputScale(Strict, frozen=True):
+    """One input: the network is fed ``(x - offset) / scale``."""
+
+    name: str
+    offset: Number = 0.0
+    scale: Number = 1.0
+
+
+class Task(Strict, frozen=True):
+    """What the controller was evolved for; a rig may be set to something else, and says so."""
+
+    name: Label
+    target: TargetSection | None = None
+    obstacles: Annotated[tuple[ObstacleSection, ...], msgspec.Meta(max_length=100)] = ()
+
+
+class Signature(Strict, frozen=True):
+    """Ed25519 over :func:`bytes_to_sign`; kept, not yet checked."""
+
+    algorithm: Literal["ed25519"]
+    key: Annotated[str, msgspec.Meta(max_length=200)]
+    value: Annotated[str, msgspec.Meta(max_length=200)]
+
+
+class ControllerFile(Strict, frozen=True):
+    """The whole file, as it stands."""
+
+    format: Literal["flora-controller"]
+    version: Literal[1]
+    name: Label
+    network: NetworkExport
+    inputs: Annotated[list[InputScale], msgspec.Meta(min_length=1, max_length=len(INPUT_NAMES))]
+    output_rule: Literal["at most 0.5 is left"]
+    task: Task
+    provenance: dict[Text, Text | int | float | bool] = msgspec.field(default_factory=dict)
+    signature: Signature | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedController:
+    """A file that passed every check.
+
+    Attributes:
+        file: its content.
+        network: ready to be asked.
+        sha256: of the file's bytes.
+        data: the bytes.
+    """
+
+    file: ControllerFile
+    network: Network
+    sha256: str
+    data: bytes
+
+    def values(
+        self, points_cm: Sequence[Sequence[float]], target: Target | None, obstacle: Obstacle | None
+    ) -> tuple[float, ...]:
+        """What the network is fed, scaled and in its order.
+
+        Args:
+            points_cm: ten points (x, y) in cm, anchor first.
+            target, obstacle: in cm.
+
+        Raises:
+            BadController: it wants to know a target or an obstacle and there is none.
+        """
+        known = dict(zip(POINT_NAMES, (float(v) for point in points_cm for v in point), strict=True))
+        if target is not None:
+            known |= {"target_x": target.x_cm, "target_y": target.y_cm}
+        if obstacle is not None:
+            edges = (obstacle.left_cm, obstacle.bottom_cm, obstacle.right_cm, obstacle.top_cm)
+            known |= dict(zip(OBSTACLE_NAMES, edges, strict=True))
+        self.check_task(target, obstacle)
+        return tuple((known[entry.name] - entry.offset) / entry.scale for entry in self.file.inputs)
+
+    def check_task(self, target: Target | None, obstacle: Obstacle | None) -> None:
+        """Whether everything that the network wants to know is there.
+
+        Raises:
+            BadController: it wants a target or an obstacle and there is none.
+        """
+        names = {entry.name for entry in self.file.inputs}
+        for wanted, there, section in ((TARGET_NAMES, target, "target"), (OBSTACLE_NAMES, obstacle, "obstacle")):
+            if there is None and names.intersection(wanted):
+                raise BadController(
+                    f"controller `{self.file.name}` wants to know the {section}; give run.toml a section [{section}]"
+                )
+
+
+def load_controller(path: Path) -> LoadedController:
+    """Read and check a controller file.
+
+    A symbolic link, such as ``current.controller.json``, is followed once; what it leads to must be a regular file and
+    is opened as that, so that nothing can be put in its place between the two.
+
+    Raises:
+        BadController: any violation, in one line with the file and the place in it.
+    """
+    return parse_controller(_read(path), where=str(path))
+
+
+def parse_controller(data: bytes, *, where: str) -> LoadedController:
+    """Check a controller file's bytes; errors as in :func:`load_controller`."""
+    if len(data) > MAX_BYTES:
+        raise BadController(f"{where}: {len(data)} bytes; a controller file has at most {MAX_BYTES}")
+    table = _parse_json(data, where)
+    if table.get("format") != "flora-controller":
+        found = str(table.get("format"))[:40] if "format" in table else "missing"
+        raise BadController(f"{where}: not a controller file (`format` is {found}, expected flora-controller)")
+    if table.get("version") != 1:
+        raise BadController(
+            f"{where}: version {str(table.get('version'))[:20]} is not known; this program reads version 1"
+        )
+    file = convert(table, ControllerFile, where=where, error=BadController)
+    _check_inputs(file, where)
+    return LoadedController(file, network_from(file.network, where), sha256_of_bytes(data), data)
+
+
+def bytes_to_sign(table: Mapping[str, Any]) -> bytes:
+    """The bytes that a signature covers: the file's table without ``signature``, keys in order, no white space.
+
+    Numbers are written the shortest way that reads back the same (Python's ``repr``).
+    """
+    rest = {key: value for key, value in table.items() if key != "signature"}
+    return json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+
+
+def _read(path: Path) -> bytes:
+    try:
+        real = path.resolve(strict=True)
+        # Not waiting for a writer: a named pipe in the file's place must not stop the service.
+        descriptor = os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise BadController(f"{path}: not a regular file")
+            if status.st_size > MAX_BYTES:
+                raise BadController(f"{path}: {status.st_size} bytes; a controller file has at most {MAX_BYTES}")
+            return file.read(MAX_BYTES + 1)
+    except RuntimeError as problem:  # a loop of links
+        raise BadController(f"{path}: cannot be read (its links run in a circle)") from problem
+    except OSError as problem:
+        raise BadController(f"{path}: cannot be read ({problem.strerror})") from problem
+    except ValueError as problem:
+        raise BadController(f"{path}: not a path ({problem})") from problem
+
+
+def _parse_json(data: bytes, where: str) -> dict[str, Any]:
+    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        table: dict[str, Any] = {}
+        for key, value in items:
+            if key in table:
+                raise BadController(f"{where}: key `{key[:40]}` is given twice")
+            table[key] = value
+        return table
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            raise BadController(f"{where}: {text[:20]} is not a finite number")
+        return value
+
+    def whole(text: str) -> int:
+        if len(text) > 19:
+            raise BadController(f"{where}: {text[:20]}… is larger than any number that belongs here")
+        return int(text)
+
+    try:
+        table = json.loads(
+            data.decode(), object_pairs_hook=pairs, parse_float=number, parse_int=whole, parse_constant=number
+        )
+        json.dumps(table, ensure_ascii=False).encode()  # escapes can spell half a character
+    except UnicodeDecodeError as problem:
+        raise BadController(f"{where}: not UTF-8 text (byte {problem.start})") from problem
+    except RecursionError as problem:
+        raise BadController(f"{where}: not valid JSON: nested too deeply") from problem
+    except ValueError as problem:
+        raise BadController(f"{where}: not valid JSON: {problem}") from problem
+    if not isinstance(table, dict):
+        raise BadController(f"{where}: not a controller file (no JSON object)")
+    return table
+
+
+def _check_inputs(file: ControllerFile, where: str) -> None:
+    seen: set[str] = set()
+    for place, entry in enumerate(file.inputs, start=1):
+        if entry.name not in INPUT_NAMES:
+            raise BadController(f"{where}: input {place} is `{entry.name[:40]}`{did_you_mean(entry.name, INPUT_NAMES)}")
+        if entry.name in seen:
+            raise BadController(f"{where}: input `{entry.name}` is listed twice")
+        if abs(entry.scale) < 1e-6:
+            raise BadController(f"{where}: input `{entry.name}` has scale {entry.scale:g}; it must not be 0")
+        seen.add(entry.name)
+    wanted = len(file.network.topology.input_keys)
+    if len(file.inputs) != wanted:
+        raise BadController(f"{where}: {len(file.inputs)} inputs are listed, the network has {wanted}")

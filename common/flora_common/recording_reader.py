@@ -1,0 +1,213 @@
+"""Reading recordings back, whole or not: as far as they are whole, and finishing those that a crash left open."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Final
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from flora_common.errors import BadInput
+from flora_common.files import atomic_writer, fsync_folder
+from flora_common.recording import CHUNK_BYTES, OPEN_SUFFIX, PROFILE, UNREADABLE, store_error
+
+DAMAGED_SUFFIX: Final = ".damaged"
+
+MAX_RECORD_BYTES: Final = 64 << 20
+"""A longer MCAP record, or chunk unpacked, is not one of ours: it is refused before memory is taken for it."""
+
+_TORN: Final = (McapError, ValueError, KeyError, struct.error, zstandard.ZstdError, EOFError)
+"""What the library raises on files that are cut or damaged. CRC failures and bad text are ValueErrors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One message of a recording.
+
+    Attributes:
+        topic: ``<rig>/<kind>``; kind is :data:`UNREADABLE` for what did not fit the catalogue.
+        log_time_ns: UTC at sending.
+        payload: the bytes as they were on the bus.
+        sequence: its sequence number, modulo 2**32.
+    """
+
+    topic: str
+    log_time_ns: int
+    payload: bytes
+    sequence: int
+
+    @property
+    def is_readable(self) -> bool:
+        """False for what did not fit the catalogue when it was recorded."""
+        return not self.topic.endswith(UNREADABLE)
+
+
+class RecordingReader:
+    """Reads a recording from its start as far as it is whole; iterate for :class:`Recorded`.
+
+    Attributes:
+        problem: after the last message: what is wrong with the rest, or empty where the file is whole.
+        metadata: what the recording says of itself.
+        whole_bytes: length of the part of the file that could be read.
+
+    Raises:
+        BadInput: no such file, or not an MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.problem = ""
+        self.metadata: dict[str, str] = {}
+        self.whole_bytes = 0
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        try:
+            with path.open("rb") as file:
+                magic = file.read(8)
+        except OSError as problem:
+            raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
+        if magic[:5] != b"\x89MCAP":
+            raise BadInput(f"{path}: not an MCAP file")
+
+    def __iter__(self) -> Iterator[Recorded]:
+        for message in self.messages():
+            topic = self.channels[message.channel_id].topic
+            yield Recorded(topic, message.log_time, message.data, message.sequence)
+
+    def messages(self) -> Iterator[Message]:
+        """The library's message records; ``schemas`` and ``channels`` hold what they refer to."""
+        self.problem = ""
+        with self.path.open("rb") as file:
+            try:
+                yield from self._messages(file)
+            except _TORN as problem:
+                text = str(problem) or type(problem).__name__
+                self.problem = f"not readable after byte {self.whole_bytes} ({text})"
+
+    def _messages(self, file: IO[bytes]) -> Iterator[Message]:
+        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        self.whole_bytes = 0
+        for record in reader.records:
+            for item in _unpacked(record) if isinstance(record, Chunk) else [record]:
+                if isinstance(item, Schema):
+                    self.schemas[item.id] = item
+                elif isinstance(item, Channel):
+                    self.channels[item.id] = item
+                elif isinstance(item, Metadata):
+                    self.metadata.update(item.metadata)
+                elif isinstance(item, Message):
+                    if item.channel_id not in self.channels:
+                        raise ValueError(f"a message of channel {item.channel_id}, which is not declared")
+                    yield item
+            self.whole_bytes = file.tell()
+
+
+def _unpacked(chunk: Chunk) -> list[Any]:
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, zstandard.frame_content_size(chunk.data))
+    if size > MAX_RECORD_BYTES:
+        raise ValueError(f"a chunk of {size} bytes, at most {MAX_RECORD_BYTES} are read")
+    return list(breakup_chunk(chunk, validate_crc=True))
+
+
+@dataclass(slots=True)
+class Recovered:
+    """What became of a recording that was left open.
+
+    Attributes:
+        path: where it is now; None where there was nothing in it and it was removed.
+        messages: how many are in it.
+        problem: what the end of the open file looked like; empty for one that only lacked its final name.
+    """
+
+    path: Path | None
+    messages: int
+    problem: str
+
+
+def recover(open_path: Path) -> Recovered:
+    """Turn a left-over ``.open`` file into a proper recording of all that is whole in it.
+
+    Safe to be killed in, and to be done twice. A file in which nothing can be read, though there is something in it,
+    is kept as ``….damaged``.
+
+    Raises:
+        DiskFull: no room; the open file stays.
+        StoreError: the folder cannot be written.
+    """
+    final = open_path.with_name(open_path.name.removesuffix(OPEN_SUFFIX))
+    try:
+        if open_path.stat().st_size == 0:
+            open_path.unlink()
+            return Recovered(None, 0, "empty")
+        try:
+            reader = RecordingReader(open_path)
+        except BadInput as problem:
+            return Recovered(_set_aside(open_path), 0, str(problem))
+        count = _rewrite(reader, final)
+        if count == 0:
+            final.unlink()
+            if reader.whole_bytes == open_path.stat().st_size:
+                open_path.unlink()
+                return Recovered(None, 0, reader.problem)
+            return Recovered(_set_aside(open_path), 0, reader.problem)
+        open_path.unlink()
+        fsync_folder(final.parent)
+    except OSError as problem:
+        raise store_error(final, problem) from problem
+    return Recovered(final, count, reader.problem)
+
+
+def _set_aside(open_path: Path) -> Path:
+    aside = open_path.with_name(open_path.name.removesuffix(OPEN_SUFFIX) + DAMAGED_SUFFIX)
+    open_path.rename(aside)
+    fsync_folder(aside.parent)
+    return aside
+
+
+@dataclass(slots=True)
+class _Renumbered:
+    schemas: dict[int, int] = field(default_factory=dict)
+    channels: dict[int, int] = field(default_factory=dict)
+
+
+def _rewrite(reader: RecordingReader, final: Path) -> int:
+    count = 0
+    numbers = _Renumbered()
+    with atomic_writer(final) as file:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        writer.start(profile=PROFILE)
+        for message in reader.messages():
+            writer.add_message(
+                _renumbered_channel(message.channel_id, reader, writer, numbers),
+                message.log_time,
+                message.data,
+                message.publish_time,
+                message.sequence,
+            )
+            count += 1
+        writer.add_metadata("flora", {**reader.metadata, "recovered": reader.problem or "whole"})
+        writer.finish()  # type: ignore[no-untyped-call]
+    return count
+
+
+def _renumbered_channel(old: int, reader: RecordingReader, writer: Writer, numbers: _Renumbered) -> int:
+    if old not in numbers.channels:
+        channel = reader.channels[old]
+        schema = reader.schemas.get(channel.schema_id)
+        if channel.schema_id not in numbers.schemas:
+            numbers.schemas[channel.schema_id] = (
+                writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+            )
+        numbers.channels[old] = writer.register_channel(
+            channel.topic, channel.message_encoding, numbers.schemas[channel.schema_id], channel.metadata
+        )
+    return numbers.channels[old]

@@ -1,0 +1,1 @@
+"""``flora-lab report``: a run folder as one page that a person looks at."""

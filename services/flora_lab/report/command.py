@@ -1,0 +1,75 @@
+"""``flora-lab report RUN_DIR -o report.html``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flora_common.errors import BadInput
+from flora_common.files import write_bytes, write_text
+from flora_common.runs import RunFolder
+from flora_lab.report import figures, strip
+from flora_lab.report.page import page
+from flora_lab.report.summary import RunSummary, summarise
+
+
+def register(app: typer.Typer) -> None:
+    """Add the subcommand to ``flora-lab``."""
+    app.command("report")(report)
+
+
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder with frames.csv and track.csv.")],
+    *,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The page to write.")] = Path("report.html"),
+    strip_png: Annotated[Path | None, typer.Option("--strip", help="Also write the picture strip, as PNG.")] = None,
+    title: Annotated[str, typer.Option(help="Heading of the page.")] = "",
+    note: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="A further row of the table.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
+) -> None:
+    """One self-contained page about a run: pictures, curves, the paper's fitness, collisions."""
+    folder = RunFolder(run)
+    notes = [_note(text) for text in note or []]
+    summary = summarise(folder)
+    panels = strip.strip(folder, summary)
+    drawn = {
+        "shapes": figures.shapes(summary),
+        "tip": figures.tip_and_lamps(summary),
+        "fitness": figures.fitness_curve(summary),
+    }
+    heading = title or f"Run {run.resolve().name}"
+    write_text(output, page(summary, title=heading, strip_jpeg=strip.encode_jpeg(panels), figures=drawn, notes=notes))
+    if strip_png is not None:
+        write_bytes(strip_png, strip.encode_png(panels))
+    if as_json:
+        typer.echo(json.dumps(numbers(summary)))
+    else:
+        typer.echo(f"wrote {output}")
+
+
+def numbers(summary: RunSummary) -> dict[str, Any]:
+    """The figures that scripts want."""
+    return {
+        "fitness": summary.fitness_at_stop,
+        "best_fitness": summary.best_fitness,
+        "stop_reason": summary.stop_reason,
+        "stop_h": float(summary.track.time_s[summary.stop_row] / 3600),
+        "target_reached_h": summary.reached_h,
+        "collided_h": summary.collided_h,
+        "clearance_cm": summary.clearance_cm,
+        "tip_cm": [round(float(v), 3) for v in summary.track.points_cm[summary.stop_row, -1]],
+        "frames": len(summary.frames),
+        "readings": summary.readings,
+        "hours": summary.hours,
+        "lamp_changes": summary.switches,
+    }
+
+
+def _note(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip():
+        raise BadInput(f"--note `{text}`: write NAME=VALUE")
+    return name.strip(), value.strip()

@@ -1,0 +1,81 @@
+"""The picture strip: photographs at four times with stem, obstacle, target and lamps, as the paper's reality figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from flora_common.runs import RunFolder
+from flora_common.vision.draw import CmToPx, contact_sheet, draw_lamps, overlay
+from flora_common.vision.picture import Picture, read_picture
+from flora_lab.report.summary import RunSummary
+
+PAPER_HOURS = (20.0, 37.0, 54.0, 71.0)
+"""Times of the paper's four panels."""
+
+TILE_WIDTH_PX = 480
+MARGIN_CM = 3.0
+
+
+def strip(folder: RunFolder, summary: RunSummary, hours: Sequence[float] = PAPER_HOURS) -> Picture:
+    """The frames nearest to these hours side by side, cut to where the plant, obstacle and target are.
+
+    Hours after the run's end are left out; a run shorter than the first shows its last frame.
+    """
+    times_h = np.array([frame.time_s for frame in summary.frames]) / 3600
+    wanted = [hour for hour in hours if hour <= times_h[-1] + 0.1] or [float(times_h[-1])]
+    rows = [int(np.argmin(np.abs(times_h - hour))) for hour in wanted]
+    return contact_sheet(
+        [_panel(folder, summary, row) for row in rows],
+        columns=len(rows),
+        captions=[f"{times_h[row]:.0f} h" for row in rows],
+        tile_width_px=TILE_WIDTH_PX,
+    )
+
+
+def _panel(folder: RunFolder, summary: RunSummary, row: int) -> Picture:
+    frame = summary.frames[row]
+    picture = read_picture(folder.path / frame.file)
+    reading = int(np.argmin(np.abs(summary.track.time_s - frame.time_s)))
+    seen = abs(float(summary.track.time_s[reading]) - frame.time_s) < summary.run.interval_s / 2
+    left, top, right, bottom = _window(summary, picture)
+    # Drawn large, then cut: lines keep their width whatever the camera's size.
+    drawn = overlay(
+        picture,
+        summary.run.camera,
+        points_cm=summary.track.points_cm[reading] if seen else None,
+        obstacle=summary.run.obstacle_or_none(),
+        target=summary.run.target_or_none(),
+    )
+    cut = np.ascontiguousarray(drawn[top:bottom, left:right])
+    draw_lamps(cut, frame.light, max(1, cut.shape[1] // 250))
+    return cut
+
+
+def _window(summary: RunSummary, picture: Picture) -> tuple[int, int, int, int]:
+    """Pixel box (left, top, right, bottom) round all stems, obstacle and target."""
+    points = [summary.track.points_cm.reshape(-1, 2)]
+    obstacle, target = summary.run.obstacle_or_none(), summary.run.target_or_none()
+    if obstacle is not None:
+        points.append(np.array([(obstacle.left_cm, obstacle.bottom_cm), (obstacle.right_cm, obstacle.top_cm)]))
+    if target is not None:
+        points.append(np.array([target.x_cm, target.y_cm]) + target.radius_cm * np.array([(-1.0, -1.0), (1.0, 1.0)]))
+    extent = np.vstack(points)
+    low, high = extent.min(axis=0) - MARGIN_CM, extent.max(axis=0) + MARGIN_CM
+    corners = CmToPx(summary.run.camera, picture.shape[1])([(low[0], high[1]), (high[0], low[1])])
+    height, width = picture.shape[:2]
+    left, top = np.clip(np.floor(corners[0]).astype(int), 0, (width - 16, height - 16))
+    right, bottom = np.clip(np.ceil(corners[1]).astype(int), (left + 16, top + 16), (width, height))
+    return int(left), int(top), int(right), int(bottom)
+
+
+def encode_jpeg(picture: Picture, quality: int = 85) -> bytes:
+    """JPEG bytes of a picture."""
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def encode_png(picture: Picture) -> bytes:
+    """PNG bytes of a picture."""
+    return cv2.imencode(".png", picture)[1].tobytes()

@@ -1,0 +1,186 @@
+"""The recorder without a bus: which file is open, when the next one begins, what a full disk does."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+
+from flora_common.bus import Arrival
+from flora_common.clock import NS, Clock
+from flora_common.errors import StoreError
+from flora_common.messages import Recording
+from flora_common.recording import OPEN_SUFFIX, RecordingWriter, store_error
+from flora_common.recording_reader import Recovered, recover
+
+MIB: Final = 1 << 20
+_NUMBER: Final = re.compile(r"-(\d+)\.mcap")
+
+
+class RecorderSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[recorder]``: when what was heard goes to the disk, and when a new file is begun."""
+
+    flush_s: Annotated[float, msgspec.Meta(ge=0.05, le=60.0)] = 60.0
+    """Real seconds between flushes: what a power cut can cost."""
+
+    rotate_h: Annotated[float, msgspec.Meta(gt=0.0, le=168.0)] = 24.0
+    """Rig hours per file."""
+
+    rotate_mib: Annotated[float, msgspec.Meta(ge=0.01, le=1024.0)] = 16.0
+    """Size per file; a file that was left open by a crash is read whole at the next start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a new file is begun."""
+
+    rotate_bytes: int
+    rotate_ns: int
+
+    @classmethod
+    def of(cls, section: RecorderSection) -> Limits:
+        return cls(round(section.rotate_mib * MIB), round(section.rotate_h * 3600 * NS))
+
+
+class Recorder:
+    """Writes what it hears into files of one folder.
+
+    Args:
+        folder: ``bus/`` of the run folder.
+        rig: for messages that do not tell theirs.
+        limits: when a new file is begun.
+        clock: rig time.
+        say: told about the file at its start, at its end and with each flush.
+        metadata: for each file.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        rig: str,
+        limits: Limits,
+        clock: Clock,
+        say: Callable[[Recording], None],
+        metadata: dict[str, str] | None = None,
+    ) -> None:
+        self.lost = 0
+        self._folder = folder
+        self._rig = rig
+        self._limits = limits
+        self._clock = clock
+        self._say = say
+        self._metadata = {"rig": rig, **(metadata or {})}
+        self._writer: RecordingWriter | None = None
+        self._opened_ns = 0
+
+    def recover_left_over(self) -> list[Recovered]:
+        """Finish what a crash left open.
+
+        Raises:
+            StoreError: no room, or the folder cannot be written; call again later.
+        """
+        try:
+            for stale in self._folder.glob(".*.mcap.*.part"):
+                stale.unlink()  # of a recovery that was killed
+        except OSError as problem:
+            raise store_error(self._folder, problem) from problem
+        current = self._writer.open_path if self._writer else None
+        left_over = sorted(path for path in self._folder.glob(f"*.mcap{OPEN_SUFFIX}") if path != current)
+        return [recover(path) for path in left_over]
+
+    def hear(self, arrival: Arrival) -> None:
+        """Record one arrival; begins a new file where the time or size is reached.
+
+        Raises:
+            StoreError: the disk is full or gone; what was heard waits in memory, within limits.
+        """
+        if self._writer is None:
+            self._open()
+        writer = self._writer
+        if writer is None:
+            return
+        writer.add(arrival, utc_ns=self._clock.utc_ns(), rig=self._rig)
+        if self._is_due(writer):
+            self.rotate()
+        elif writer.wants_flush:
+            writer.flush()
+
+    def _is_due(self, writer: RecordingWriter) -> bool:
+        age_ns = self._clock.mono_ns() - self._opened_ns
+        return writer.bytes >= self._limits.rotate_bytes or age_ns >= self._limits.rotate_ns
+
+    def flush(self) -> None:
+        """Put on the disk what waits, and say how the recording is.
+
+        Raises:
+            StoreError: as :meth:`hear`.
+        """
+        if self._writer is None:
+            self._open()
+        elif self._is_due(self._writer):
+            self.rotate()
+        else:
+            self._writer.flush()
+            self._tell(self._writer, closed=False)
+
+    def rotate(self) -> None:
+        """Finish the file and begin the next.
+
+        Raises:
+            StoreError: no room. The present file goes on, or is left open for the next start to recover.
+        """
+        self.close()
+        self._open()
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            StoreError: no room; all that was flushed is in the open file.
+        """
+        writer = self._writer
+        if writer is None:
+            return
+        writer.flush()  # where this fails the file stays open and all waits
+        self._writer = None
+        self.lost += writer.lost
+        writer.close()
+        self._tell(writer, closed=True)
+
+    def all_lost(self) -> int:
+        """Messages that could not be recorded since the start."""
+        return self.lost + (self._writer.lost if self._writer else 0)
+
+    def _open(self) -> None:
+        try:
+            self._writer = RecordingWriter(self._free_name(), metadata=self._metadata)
+        except StoreError:
+            self.lost += 1
+            raise
+        self._opened_ns = self._clock.mono_ns()
+        self._writer.flush()
+        self._tell(self._writer, closed=False)
+
+    def _free_name(self) -> Path:
+        """``<utc>-<n>.mcap``: n goes on from the files that are there, so that order and names survive a set clock."""
+        stamp = datetime.fromtimestamp(self._clock.utc_ns() // NS, UTC).strftime("%Y%m%dT%H%M%SZ")
+        there = [_NUMBER.search(path.name) for path in self._folder.glob("*.mcap*")]
+        number = 1 + max((int(found.group(1)) for found in there if found), default=0)
+        return self._folder / f"{stamp}-{number:04d}.mcap"
+
+    def _tell(self, writer: RecordingWriter, *, closed: bool) -> None:
+        self._say(
+            Recording(
+                path=f"{self._folder.name}/{writer.path.name}",
+                messages=writer.messages,
+                bytes=writer.bytes,
+                bad=writer.bad,
+                closed=closed,
+            )
+        )

@@ -1,0 +1,74 @@
+"""flora-recorder: every message of its rig into MCAP files of the run folder."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable, Sequence
+
+from flora_common.bus import Arrival
+from flora_common.errors import StoreError
+from flora_common.service import App, run_service
+from flora_recorder.core import Limits, Recorder, RecorderSection
+
+
+def build(app: App[RecorderSection]) -> None:
+    recorder = Recorder(
+        app.run.bus,
+        rig=app.rig.name,
+        limits=Limits.of(app.config),
+        clock=app.clock,
+        say=app.publish,
+        metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
+    )
+    is_recovered = False
+
+    def recover_left_over() -> None:
+        nonlocal is_recovered
+        for found in recorder.recover_left_over():
+            app.log.event(
+                "recovered",
+                path=found.path.name if found.path else "",
+                messages=found.messages,
+                problem=found.problem,
+            )
+        is_recovered = True
+
+    def guarded(work: Callable[[], None]) -> None:
+        try:
+            work()
+        except StoreError as problem:
+            lost = recorder.all_lost()
+            app.state("degraded", f"not recording: {problem}" + (f"; {lost} messages lost" if lost else ""))
+
+    def flush() -> None:
+        recorder.flush()
+        if not is_recovered:
+            recover_left_over()
+        if app.is_ready:
+            app.state("ready")
+
+    def hear(arrival: Arrival) -> None:
+        guarded(lambda: recorder.hear(arrival))
+
+    def finish() -> None:
+        try:
+            recorder.close()
+        except StoreError as problem:
+            app.log.error("not_finished", reason=str(problem))
+
+    # Before READY: files are read whole here, which may take longer than the watchdog allows.
+    guarded(recover_left_over)
+    app.on_raw(hear)
+    app.on_ready(lambda: guarded(flush))
+    app.every(app.config.flush_s, lambda: guarded(flush))
+    app.on_exit(finish)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run_service(
+        "flora-recorder",
+        RecorderSection,
+        build,
+        argv=argv,
+        description="Record every message of the rig to MCAP files in the run folder.",
+    )

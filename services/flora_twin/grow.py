@@ -1,0 +1,127 @@
+"""Plants without pictures: light schedule in, measured track out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from flora_common.errors import BadInput
+from flora_common.geometry import STEM_POINTS, FloatArray, resample_by_height
+from flora_common.runs import LIGHTS, Light, Track
+from flora_common.suggest import did_you_mean
+from flora_twin.parameters import PlantParameters
+from flora_twin.plant import STEP_S, Plants
+
+LightSchedule = Callable[[float], Light]
+"""The lamp that shines from a time on, in seconds since the start."""
+
+LEVELS: Final[dict[Light, tuple[float, float]]] = {
+    "left": (1.0, 0.0),
+    "right": (0.0, 1.0),
+    "dark": (0.0, 0.0),
+    "both": (1.0, 1.0),
+}
+"""What a light means as (left, right) of one full lamp."""
+
+FRAME_S: Final = 300.0
+_MAX_HOURS: Final = 24.0 * 60
+
+
+def parse_schedule(text: str) -> LightSchedule:
+    """A light schedule from text.
+
+    ``6h`` alternates left and right, six hours each, left first (the open loop of Wahby et al. 2018). ``right`` shines
+    for ever. ``right 37h, left`` is a list: each light for its hours, the last one for ever.
+
+    Raises:
+        BadInput: none of these.
+    """
+    alternate = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*h\s*", text)
+    if alternate:
+        hours = float(alternate.group(1))
+        if not 0.01 <= hours <= _MAX_HOURS:
+            raise BadInput(f"schedule `{text}`: alternate every 0.01 to {_MAX_HOURS:g} h")
+        return lambda time_s: "left" if int(time_s // (hours * 3600.0)) % 2 == 0 else "right"
+    ends: list[float] = []
+    lights: list[Light] = []
+    end = 0.0
+    entries = text.split(",")
+    for number, entry in enumerate(entries, start=1):
+        match = re.fullmatch(r"\s*([a-z]+)(?:\s+(\d+(?:\.\d+)?)\s*h)?\s*", entry)
+        if match is None or (match.group(2) is None and number < len(entries)):
+            raise BadInput(f"schedule `{text}`: entry {number} must read like `left 6h`, the last like `left`; or `6h` alone")
+        name = match.group(1)
+        found = next((light for light in LIGHTS if light == name), None)
+        if found is None:
+            raise BadInput(f"schedule `{text}`: no light `{name}`{did_you_mean(name, LIGHTS)}")
+        end = end + float(match.group(2)) * 3600.0 if match.group(2) else float("inf")
+        ends.append(end)
+        lights.append(found)
+    return lambda time_s: lights[min(int(np.searchsorted(ends, time_s, side="right")), len(lights) - 1)]
+
+
+def stem_points_cm(centreline_cm: FloatArray) -> FloatArray:
+    """Ten points, shape (10, 2), of the picture-plane projection of a centreline (n, 3)."""
+    return resample_by_height(centreline_cm[:, :2], STEM_POINTS)
+
+
+def grow_many(
+    seeds: Sequence[int],
+    light_schedule: LightSchedule | str,
+    hours: float,
+    *,
+    parameters: Sequence[PlantParameters] | None = None,
+    every_s: float = FRAME_S,
+) -> list[Track]:
+    """Grow several plants under one schedule, without pictures and without measuring error.
+
+    Args:
+        seeds: one per plant.
+        light_schedule: from time to light, or text for :func:`parse_schedule`.
+        hours: length of the run.
+        parameters: constants per plant; drawn from the seeds where missing.
+        every_s: seconds between rows of the track; a multiple of the step of 100 s.
+
+    Returns:
+        One track per plant with rows at 0, ``every_s``, ...; ``light`` shone over the interval before.
+
+    Raises:
+        BadInput: hours or ``every_s`` out of range, or a schedule that cannot be read.
+    """
+    if not 0.0 < hours <= _MAX_HOURS:
+        raise BadInput(f"hours is {hours:g}; it must lie in (0, {_MAX_HOURS:g}]")
+    per_row = round(every_s / STEP_S)
+    if per_row < 1 or abs(per_row * STEP_S - every_s) > 1e-6:
+        raise BadInput(f"every_s is {every_s:g}; it must be a multiple of {STEP_S:g} s")
+    schedule = parse_schedule(light_schedule) if isinstance(light_schedule, str) else light_schedule
+    plants = Plants(seeds, parameters)
+    rows = int(hours * 3600.0 // every_s) + 1
+    points = np.empty((plants.batch, rows, STEM_POINTS, 2))
+    lights: list[Light] = []
+    for row in range(rows):
+        if row:
+            for _ in range(per_row):
+                plants.step(*LEVELS[schedule(plants.time_s)], STEP_S)
+        lights.append(schedule(max(0.0, plants.time_s - STEP_S)))
+        lines = plants.centreline_cm()
+        used = plants.segments
+        for i in range(plants.batch):
+            points[i, row] = stem_points_cm(lines[i, : used[i] + 1])
+    time_s = np.arange(rows) * every_s
+    return [Track(time_s, tuple(lights), points[i], {}) for i in range(plants.batch)]
+
+
+def grow(
+    seed: int,
+    light_schedule: LightSchedule | str,
+    hours: float,
+    *,
+    parameters: PlantParameters | None = None,
+    every_s: float = FRAME_S,
+) -> Track:
+    """Grow one plant; see :func:`grow_many`."""
+    chosen = None if parameters is None else [parameters]
+    return grow_many([seed], light_schedule, hours, parameters=chosen, every_s=every_s)[0]

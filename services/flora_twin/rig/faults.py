@@ -1,0 +1,151 @@
+"""The fault menu at work: faults of the box over its wire, faults of the rig by hand on its processes and folders.
+
+``nas_gone@30h:6h`` takes the NAS away from hour 30 for six hours; ``service_killed@12h=flora-stem`` kills once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import signal
+import subprocess
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from flora_common.errors import BadInput, FloraError
+from flora_common.suggest import did_you_mean
+from flora_twin.faults import MENU
+from flora_twin.rig.virtual_rig import BUS, SERVICES, Seen, VirtualRig
+
+_FORM: Final = re.compile(r"^(?P<name>\w+)@(?P<at>\d+(\.\d+)?)h?(:(?P<for>\d+(\.\d+)?)h?)?(=(?P<argument>[\w.+-]+))?$")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFault:
+    """One fault of the menu at a time of the run.
+
+    Attributes:
+        name: of the menu.
+        at_h: hours since the run's start.
+        for_h: how long it lasts; None for those that happen once.
+        argument: a service's name, or seconds of a clock jump.
+    """
+
+    name: str
+    at_h: float
+    for_h: float | None = None
+    argument: str = ""
+
+
+def parse_fault(text: str) -> PlannedFault:
+    """``NAME@HOUR[:HOURS][=ARGUMENT]``.
+
+    Raises:
+        BadInput: not of this form, or not on the menu.
+    """
+    match = _FORM.match(text)
+    if match is None:
+        raise BadInput(f"fault `{text}`: write NAME@HOUR[:HOURS][=ARGUMENT], such as nas_gone@30h:6h")
+    name = match["name"]
+    if name not in MENU:
+        raise BadInput(f"fault `{name}` is not on the menu{did_you_mean(name, MENU)}")
+    argument = match["argument"] or ""
+    if name == "service_killed" and argument not in (BUS, *SERVICES):
+        raise BadInput(f"fault `{text}`: name a service, such as service_killed@12h=flora-stem")
+    return PlannedFault(name, float(match["at"]), float(match["for"]) if match["for"] else None, argument)
+
+
+@contextlib.contextmanager
+def fault(rig: VirtualRig, name: str, argument: str = "") -> Iterator[None]:
+    """A fault for as long as the block lasts; those that happen once happen at its beginning."""
+    begin(rig, name, argument)
+    try:
+        yield
+    finally:
+        end(rig, name)
+
+
+def begin(rig: VirtualRig, name: str, argument: str = "") -> None:
+    """Let a fault begin."""
+    nas = rig.layout.nas
+    match name:
+        case "service_killed":
+            rig.supervisor.kill(argument, signal.SIGKILL)
+        case "bus_restarted":
+            rig.supervisor.kill(BUS, signal.SIGKILL)
+        case "nas_gone":
+            nas.rename(_aside(nas))
+        case "nas_read_only":
+            _make_read_only(nas)
+        case "clock_jumps":
+            rig.box.ask("fault", name=name, on=True, seconds=float(argument or 86_400.0))
+        case _:
+            rig.box.ask("fault", name=name, on=True)
+
+
+def end(rig: VirtualRig, name: str) -> None:
+    """Let a fault end; nothing to do for those that happen once."""
+    nas = rig.layout.nas
+    match name:
+        case "service_killed" | "bus_restarted":
+            return
+        case "nas_gone":
+            _aside(nas).rename(nas)
+        case "nas_read_only":
+            _make_writable(nas)
+        case _:
+            rig.box.ask("fault", name=name, on=False)
+
+
+class FaultSchedule:
+    """Begins and ends planned faults as the run's hours go by; call it with what was seen."""
+
+    def __init__(self, rig: VirtualRig, plan: Sequence[PlannedFault]) -> None:
+        self._rig = rig
+        self._waiting = sorted(plan, key=lambda planned: planned.at_h)
+        self._lasting: list[PlannedFault] = []
+
+    def __call__(self, seen: Seen) -> None:
+        if seen.tick is None:
+            return
+        hour = seen.tick.time_s / 3600
+        for planned in [p for p in self._lasting if p.for_h is not None and hour >= p.at_h + p.for_h]:
+            self._lasting.remove(planned)
+            end(self._rig, planned.name)
+        while self._waiting and hour >= self._waiting[0].at_h:
+            planned = self._waiting.pop(0)
+            begin(self._rig, planned.name, planned.argument)
+            self._lasting.append(planned)
+
+    def end_all(self) -> None:
+        """Let whatever still lasts end, so that the rig's folders are whole again."""
+        while self._lasting:
+            end(self._rig, self._lasting.pop().name)
+
+
+def _aside(nas: Path) -> Path:
+    return nas.with_name(nas.name + ".gone")
+
+
+def _make_read_only(nas: Path) -> None:
+    """Root passes over permissions, so for root the folder becomes a read-only mount of itself."""
+    if os.geteuid() != 0:
+        nas.chmod(0o555)
+        return
+    for arguments in (["--bind", str(nas), str(nas)], ["-o", "remount,ro,bind", str(nas)]):
+        done = subprocess.run(["mount", *arguments], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise FloraError(f"nas_read_only: {nas} cannot be mounted read-only here: {done.stderr.strip()}")
+
+
+def _make_writable(nas: Path) -> None:
+    if os.geteuid() != 0:
+        nas.chmod(0o755)
+        return
+    done = subprocess.run(["umount", str(nas)], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise OSError(errno.EBUSY, done.stderr.strip(), str(nas))

@@ -1,0 +1,121 @@
+"""Where a virtual rig lives on the disk: one folder that holds everything, and nothing outside it but its sockets."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import tomli_w
+
+from flora_common.errors import BadInput
+from flora_common.files import make_folder, write_text
+from flora_common.runs import ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+
+MARKER: Final = ".flora-rig"
+"""Marks a folder as one of ours: only such a folder is ever emptied."""
+
+PAPER_TARGET: Final = TargetSection(x_cm=-5.12, y_cm=17.9, radius_cm=2.0)
+PAPER_OBSTACLE: Final = ObstacleSection(x_cm=-6.3, y_cm=12.5, width_cm=7.0, height_cm=3.0)
+"""The paper's reality experiment (its section "Performance of controllers in reality")."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Paths of one virtual rig."""
+
+    root: Path
+    sockets: Path
+    run_name: str = "bean"
+
+    @property
+    def config(self) -> Path:
+        return self.root / "flora.toml"
+
+    @property
+    def run(self) -> RunFolder:
+        return RunFolder(self.root / "runs" / self.run_name)
+
+    @property
+    def state_dir(self) -> Path:
+        return self.root / "state"
+
+    @property
+    def box_dir(self) -> Path:
+        """The grow box's own memory and the truth about each photograph."""
+        return self.root / "box"
+
+    @property
+    def nas(self) -> Path:
+        return self.root / "nas"
+
+    @property
+    def logs(self) -> Path:
+        return self.root / "logs"
+
+    @property
+    def box_address(self) -> str:
+        return f"ipc://{self.sockets}/box"
+
+
+def make_layout(root: Path, run_file: RunFile, *, sections: dict[str, dict[str, Any]] | None = None) -> Layout:
+    """An empty virtual rig under ``root``, ready to start.
+
+    Args:
+        root: its folder; an older virtual rig in it is replaced.
+        run_file: ``run.toml`` of the run.
+        sections: keys that differ from the virtual rig's defaults, by section.
+
+    Raises:
+        BadInput: ``root`` holds something that is not a virtual rig.
+    """
+    if root.exists() and any(root.iterdir()):
+        if not (root / MARKER).is_file():
+            raise BadInput(f"{root}: holds other files; choose an empty or a new folder")
+        shutil.rmtree(root)
+    make_folder(root)
+    write_text(root / MARKER, "a virtual rig; this folder is emptied when the next one is made here\n")
+    # Socket paths are limited to 107 bytes, wherever the rig's folder lies.
+    layout = Layout(root.resolve(), Path(tempfile.mkdtemp(prefix="flora-")))
+    for folder in (layout.run.path, layout.state_dir, layout.box_dir, layout.nas, layout.logs):
+        make_folder(folder)
+    write_text(layout.run.run_toml, run_file_text(run_file))
+    write_text(layout.nas / ".flora-nas", "the virtual rig's NAS\n")
+    tables = _default_sections(layout, run_file)
+    for name, keys in (sections or {}).items():
+        tables.setdefault(name, {}).update(keys)
+    write_text(layout.config, tomli_w.dumps(tables))
+    return layout
+
+
+def _default_sections(layout: Layout, run_file: RunFile) -> dict[str, dict[str, Any]]:
+    box = layout.box_address
+    return {
+        "rig": {
+            "name": run_file.rig,
+            "run_dir": str(layout.run.path),
+            "state_dir": str(layout.state_dir),
+            "bus_publish": f"ipc://{layout.sockets}/bus-publish",
+            "bus_subscribe": f"ipc://{layout.sockets}/bus-subscribe",
+            "health_every_s": 2.0,
+            "clock": {"kind": "twin", "twin": box},
+        },
+        "flash": {"backend": "virtual", "twin": box, "wait_for_background": True},
+        "capture": {"backend": "virtual", "twin": box},
+        "led": {"backend": "virtual", "twin": box},
+        "controller": {"use": "waypoint"},
+        "uploader": {"target": str(layout.nas)},
+    }
+
+
+def remove_sockets(layout: Layout) -> None:
+    """Leave nothing outside the rig's folder."""
+    shutil.rmtree(layout.sockets, ignore_errors=True)
+
+
+def with_task(run_file: RunFile) -> RunFile:
+    """The paper's reality experiment as this run's task."""
+    return msgspec.structs.replace(run_file, target=PAPER_TARGET, obstacle=PAPER_OBSTACLE)

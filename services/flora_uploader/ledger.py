@@ -1,0 +1,336 @@
+"""What has reached the target, in SQLite: durable, small, and only ever a record of what was verified.
+
+The ledger can be lost: files found at the target are believed only after they have been read there, so a new ledger
+fills itself again. WAL with ``synchronous=FULL``: what :meth:`Ledger.stored` has returned from survives a power cut.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import sqlite3
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final, Literal
+
+from flora_common.errors import StoreError
+from flora_common.files import make_folder
+from flora_uploader.policy import Kind
+
+FileState = Literal["waiting", "stored", "damaged", "freed", "vanished"]
+"""
+waiting: not verified at the target.    stored: read back there, and the spool has it too.
+freed: stored, and deleted from the spool to make room.
+damaged: the spool's file is not what the camera wrote, or the target's is not what was stored and the spool has none.
+vanished: gone from the spool before it was stored.
+"""
+
+FILE_NAME: Final = "uploader.sqlite3"
+VERSION: Final = 1
+
+_SCHEMA: Final = """
+CREATE TABLE files (
+    run TEXT NOT NULL,
+    path TEXT NOT NULL,
+    kind TEXT NOT NULL CHECK (kind IN ('once', 'table')),
+    size INTEGER NOT NULL,
+    mtime_ns INTEGER NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('waiting', 'stored', 'damaged', 'freed', 'vanished')),
+    expected TEXT NOT NULL DEFAULT '',
+    sha256 TEXT NOT NULL DEFAULT '',
+    verified_ns INTEGER NOT NULL DEFAULT 0,
+    checked_ns INTEGER NOT NULL DEFAULT 0,
+    reason TEXT NOT NULL DEFAULT '',
+    PRIMARY KEY (run, path)
+) WITHOUT ROWID;
+CREATE INDEX files_queue ON files (state, kind, mtime_ns);
+CREATE INDEX files_check ON files (state, checked_ns);
+CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+"""
+
+_COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, checked_ns, reason"
+
+
+class LedgerProblem(StoreError):
+    """The ledger cannot be read or written just now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One file of record.
+
+    Attributes:
+        run: name of the run folder.
+        path: inside the run folder.
+        kind: ``once`` or ``table``.
+        size: bytes in the spool when last looked at.
+        mtime_ns: likewise.
+        state: see :data:`FileState`.
+        expected: SHA-256 that the camera announced, or empty.
+        sha256: SHA-256 of what was last verified at the target, or empty.
+        verified_ns: when that was, UTC.
+        checked_ns: when the target was last read, UTC.
+        reason: of a state that is not as it should be.
+    """
+
+    run: str
+    path: str
+    kind: Kind
+    size: int
+    mtime_ns: int
+    state: FileState = "waiting"
+    expected: str = ""
+    sha256: str = ""
+    verified_ns: int = 0
+    checked_ns: int = 0
+    reason: str = ""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.run, self.path
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A file as the scan found it: path inside its run folder, size, time of the last change."""
+
+    path: str
+    kind: Kind
+    size: int
+    mtime_ns: int
+
+
+class Ledger:
+    """The open ledger; one process at a time.
+
+    Args:
+        folder: the rig's state folder.
+        target: where files go; under another target everything counts as waiting again.
+
+    Raises:
+        StoreError: held by another process, made by a newer version, or not writable.
+    """
+
+    def __init__(self, folder: Path, target: str) -> None:
+        self.path = folder / FILE_NAME
+        self.replaced: str = ""
+        make_folder(folder)
+        self._lock = _lock(folder / f"{FILE_NAME}.lock")
+        try:
+            self._db = self._open_or_replace()
+            with _told():
+                self.id = self._fact("id", os.urandom(4).hex())
+                if self._fact("target", target) != target:
+                    with self._transaction():
+                        self._db.execute("UPDATE files SET state = 'waiting', sha256 = '' WHERE state = 'stored'")
+                        self._db.execute("UPDATE facts SET value = ? WHERE name = 'target'", (target,))
+                # A damaged or vanished file may have been put right by hand: look once more at each start.
+                with self._transaction():
+                    self._db.execute("UPDATE files SET state = 'waiting' WHERE state IN ('damaged', 'vanished')")
+                self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def _open_or_replace(self) -> sqlite3.Connection:
+        try:
+            return self._open()
+        except sqlite3.DatabaseError as problem:
+            if isinstance(problem, sqlite3.OperationalError):  # locked, full, not permitted: the file may be good
+                raise LedgerProblem(f"{self.path}: the ledger cannot be opened ({problem})") from problem
+            # Damaged: kept for people to look at. A new one believes nothing that it has not read at the target.
+            aside = self.path.with_name(f"{FILE_NAME}.damaged-{os.urandom(4).hex()}")
+            self.path.replace(aside)
+            for suffix in ("-wal", "-shm"):
+                Path(f"{self.path}{suffix}").unlink(missing_ok=True)
+            self.replaced = f"{self.path} was damaged ({problem}); kept as {aside.name}, a new ledger was begun"
+        with _told():
+            return self._open()
+
+    def _open(self) -> sqlite3.Connection:
+        db = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
+        try:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute("PRAGMA synchronous = FULL")
+            db.execute("PRAGMA cache_size = -512")
+            version = int(db.execute("PRAGMA user_version").fetchone()[0])
+            if version > VERSION:
+                raise StoreError(
+                    f"{self.path}: made by a newer flora-uploader (version {version}, this one knows {VERSION});"
+                    f" update this machine, or move the file away: it will be made anew from what is at the target"
+                )
+            if version == 0:
+                db.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} PRAGMA user_version = {VERSION}; COMMIT;")
+            db.execute("SELECT run FROM files LIMIT 1").fetchone()
+        except BaseException:
+            db.close()
+            raise
+        return db
+
+    def _fact(self, name: str, first: str) -> str:
+        self._db.execute("INSERT OR IGNORE INTO facts VALUES (?, ?)", (name, first))
+        return str(self._db.execute("SELECT value FROM facts WHERE name = ?", (name,)).fetchone()[0])
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._db.execute("COMMIT")
+        except BaseException:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+            raise
+
+    # what the scan and the bus tell
+
+    def see(self, run: str, found: Iterable[Found]) -> list[str]:
+        """Take note of files in the spool: new and changed ones wait. Returns their paths."""
+        changed: list[Found] = []
+        with _told():
+            for file in found:
+                row = self._db.execute(
+                    "SELECT size, mtime_ns, state FROM files WHERE run = ? AND path = ?", (run, file.path)
+                ).fetchone()
+                if row is None or (row[0], row[1]) != (file.size, file.mtime_ns) or row[2] in ("vanished", "freed"):
+                    changed.append(file)
+            if changed:
+                with self._transaction():
+                    self._db.executemany(
+                        "INSERT INTO files (run, path, kind, size, mtime_ns, state) VALUES (?, ?, ?, ?, ?, 'waiting')"
+                        " ON CONFLICT DO UPDATE SET size = excluded.size, mtime_ns = excluded.mtime_ns,"
+                        " state = 'waiting', reason = ''",
+                        [(run, f.path, f.kind, f.size, f.mtime_ns) for f in changed],
+                    )
+                self._recount()
+        return [file.path for file in changed]
+
+    def expect(self, run: str, sha256_of: dict[str, str]) -> None:
+        """What the camera wrote, by path. A file that was stored with another content waits to be looked at again."""
+        with _told():
+            known = dict(self._db.execute("SELECT path, expected FROM files WHERE run = ?", (run,)).fetchall())
+            news = [(sha, run, path) for path, sha in sha256_of.items() if known.get(path, sha) != sha]
+            if news:
+                with self._transaction():
+                    self._db.executemany(
+                        "UPDATE files SET expected = ?1, state = CASE WHEN state = 'damaged' OR"
+                        " (state = 'stored' AND sha256 <> ?1) THEN 'waiting' ELSE state END"
+                        " WHERE run = ?2 AND path = ?3",
+                        news,
+                    )
+                self._recount()
+
+    # what to do next
+
+    def next_waiting(self, kind: Kind, may: Callable[[Entry], bool]) -> Entry | None:
+        """The oldest waiting file of a kind that may be tried now."""
+        return self._first(
+            "state = 'waiting' AND kind = ? ORDER BY mtime_ns, run, path", (kind,), may
+        )  # fmt: skip
+
+    def next_to_check(self, may: Callable[[Entry], bool]) -> Entry | None:
+        """The file at the target that has not been read for the longest time."""
+        return self._first("state IN ('stored', 'freed') ORDER BY checked_ns, run, path", (), may)
+
+    def next_to_free(self, before_ns: int, may: Callable[[Entry], bool]) -> Entry | None:
+        """The oldest stored file of the spool that was last changed before a time (UTC)."""
+        return self._first(
+            "state = 'stored' AND kind = 'once' AND mtime_ns < ? ORDER BY mtime_ns, run, path", (before_ns,), may
+        )
+
+    def _first(self, where: str, values: tuple[object, ...], may: Callable[[Entry], bool]) -> Entry | None:
+        with _told():
+            for row in self._db.execute(f"SELECT {_COLUMNS} FROM files WHERE {where}", values):
+                entry = Entry(*row)
+                if may(entry):
+                    return entry
+        return None
+
+    def get(self, run: str, path: str) -> Entry | None:
+        """One file, or None."""
+        return self._first("run = ? AND path = ?", (run, path), lambda _: True)
+
+    # what has happened
+
+    def stored(self, entry: Entry, sha256: str, size: int, mtime_ns: int, now_ns: int) -> None:
+        """Verified at the target; durable when this returns. A spool file that has changed since then waits again."""
+        self._write(
+            "UPDATE files SET state = 'stored', sha256 = ?, size = ?, mtime_ns = ?, verified_ns = ?, checked_ns = ?,"
+            " reason = '' WHERE run = ? AND path = ?",
+            (sha256, size, mtime_ns, now_ns, now_ns, *entry.key),
+        )
+
+    def checked(self, entry: Entry, now_ns: int) -> None:
+        """Read at the target, and good."""
+        self._write("UPDATE files SET checked_ns = ? WHERE run = ? AND path = ?", (now_ns, *entry.key))
+
+    def mark(self, entry: Entry, state: FileState, reason: str = "") -> None:
+        """Another state, and why."""
+        self._write(
+            "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?", (state, reason[:500], *entry.key)
+        )
+
+    def forget(self, entry: Entry) -> None:
+        """A growing file that nobody has any more."""
+        self._write("DELETE FROM files WHERE run = ? AND path = ?", entry.key)
+
+    def _write(self, statement: str, values: tuple[object, ...]) -> None:
+        with _told():
+            self._db.execute(statement, values)
+            self._recount()
+
+    def _recount(self) -> None:
+        self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
+
+    def close(self) -> None:
+        self._db.close()
+        self._lock.close()
+
+
+def read_only(folder: Path) -> sqlite3.Connection:
+    """The ledger for looking at, also while the service runs.
+
+    Raises:
+        StoreError: there is none, or it cannot be read.
+    """
+    path = folder / FILE_NAME
+    if not path.exists():
+        raise StoreError(f"{path}: no ledger yet; flora-uploader makes it at its first start")
+    try:
+        db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5.0)
+        db.execute("SELECT run FROM files LIMIT 1").fetchone()
+    except sqlite3.Error as problem:
+        raise StoreError(f"{path}: the ledger cannot be read ({problem})") from problem
+    return db
+
+
+@contextlib.contextmanager
+def _told() -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as problem:
+        raise LedgerProblem(f"the ledger cannot be read or written ({problem}); uploading rests until it can") from problem
+
+
+def _lock(path: Path) -> IO[str]:
+    """Hold the ledger for this process; the kernel lets go of it however the process ends."""
+    try:
+        file = path.open("a+", encoding="ascii")
+    except OSError as problem:
+        raise LedgerProblem(f"{path}: cannot be written ({problem.strerror})") from problem
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        pid = file.read(20).strip() or "unknown"
+        file.close()
+        raise StoreError(
+            f"{path.with_suffix('')}: a flora-uploader works with this ledger already (pid {pid}); it uploads by itself"
+        ) from None
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file

@@ -1,0 +1,90 @@
+"""What is of record, how often it is sent, how long to wait after a failure, how full a disk may be."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Final, Literal
+
+Kind = Literal["once", "table"]
+
+SKIPPED_SUFFIXES: Final = (".part", ".open", ".lock")
+"""Ends of names that are still being written, or never meant to be kept."""
+
+ONCE_FOLDERS: Final = ("frames", "background", "bus")
+ONCE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".mcap")
+"""Written whole under a temporary name and never changed after that; everything else may grow."""
+
+ALERT_STEPS: Final = (95, 80, 50)
+"""Per cent of the spool's disk in use at which something is said; from 80 on the service is degraded."""
+
+FIRST_WAIT_S: Final = 1.0
+LONGEST_WAIT_S: Final = 600.0
+SHORTEST_WAIT_S: Final = 0.05
+
+
+def is_of_record(name: str) -> bool:
+    """Whether a file or folder of this name inside a run folder has to reach the target."""
+    return not name.startswith(".") and not name.endswith(SKIPPED_SUFFIXES)
+
+
+def kind_of(path: str) -> Kind:
+    """``once`` for what never changes, ``table`` for what may grow; ``path`` is relative to the run folder."""
+    pure = PurePosixPath(path)
+    if pure.suffix.lower() in ONCE_SUFFIXES:
+        return "once"
+    return "once" if len(pure.parts) > 1 and pure.parts[0] in ONCE_FOLDERS else "table"
+
+
+def is_photograph(path: str) -> bool:
+    """Whether this is a picture of the plant: the only files whose hash is announced, and that may make room."""
+    pure = PurePosixPath(path)
+    return pure.parts[0] == "frames" and len(pure.parts) > 1 and pure.suffix.lower() == ".jpg"
+
+
+class Backoff:
+    """Waiting times that double from 1 s to 10 min, with full jitter, until something works again.
+
+    Args:
+        uniform: ``random.uniform`` or a test's stand-in.
+    """
+
+    def __init__(self, uniform: Callable[[float, float], float] = random.uniform) -> None:
+        self._uniform = uniform
+        self._failures = 0
+
+    @property
+    def longest_s(self) -> float:
+        """Upper end of the next wait."""
+        return min(LONGEST_WAIT_S, FIRST_WAIT_S * 2.0 ** min(self._failures, 20))
+
+    def failed(self) -> float:
+        """Seconds to wait before the next attempt."""
+        wait_s = max(SHORTEST_WAIT_S, self._uniform(0.0, self.longest_s))
+        self._failures += 1
+        return wait_s
+
+    def worked(self) -> None:
+        self._failures = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DiskAlert:
+    """A step of :data:`ALERT_STEPS` that has been passed."""
+
+    percent: int
+
+    @property
+    def is_serious(self) -> bool:
+        return self.percent >= 80
+
+
+def disk_alert(percent_used: float, before: DiskAlert | None) -> DiskAlert | None:
+    """The step that holds now. A step once passed holds until one per cent below it, so that it does not flicker."""
+    for step in ALERT_STEPS:
+        slack = 1.0 if before is not None and before.percent >= step else 0.0
+        if percent_used >= step - slack:
+            return DiskAlert(step)
+    return None
