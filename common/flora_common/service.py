@@ -105,6 +105,7 @@ class App(Generic[S]):
         self._ready_calls: list[Callable[[], None]] = []
         self._stopping: str | None = None
         self._status: tuple[State, str] = ("starting", "waiting for the bus")
+        self._troubles: dict[str, str] = {}
         self._is_ready = False
         self._config_sha256 = sha256_of_bytes(config_text(rig, "own", config).encode())
         self._started_s = time.monotonic()
@@ -180,6 +181,19 @@ class App(Generic[S]):
         if self._is_ready:
             self._say_health()
 
+    def trouble(self, key: str, reason: str) -> None:
+        """A problem that lasts, by its name; an empty reason says that it is over. The state tells all that last."""
+        if reason:
+            self._troubles[key] = reason
+        elif self._troubles.pop(key, None) is None:
+            return
+        if self._troubles:
+            self.state("degraded", "; ".join(self._troubles.values())[:500])
+        elif self._is_ready:
+            self.state("ready")
+        else:
+            self.state("starting", "waiting for the bus")
+
     def stop(self, reason: str) -> None:
         """End the loop after the handler that is running."""
         self._stopping = reason
@@ -212,7 +226,9 @@ class App(Generic[S]):
             handler = self._readable.get(source)
             if handler is not None:
                 self._guarded(handler)
-        while self._timers and self._timers[0][0] <= time.monotonic():
+        # One reading for all: a timer that arms itself anew with no delay must not keep the loop from bus and watchdog.
+        now_s = time.monotonic()
+        while self._timers and self._timers[0][0] <= now_s:
             timer = heapq.heappop(self._timers)[2]
             if timer.call is not None:
                 self._guarded(timer.call)

@@ -141,11 +141,12 @@ class FilmSource:
     def _pictures(self) -> Iterator[Picture]:
         # OpenCV and its film reader write complaints of their own to stderr, beside the one line that we owe.
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        level = cv2.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        log = cv2.utils.logging
+        level = log.setLogLevel(log.LOG_LEVEL_SILENT)
         try:
             film = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         finally:
-            cv2.setLogLevel(level)
+            log.setLogLevel(level)
         try:
             while True:
                 there, picture = film.read()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -78,6 +79,7 @@ class Recorder:
         self._metadata = {"rig": rig, **(metadata or {})}
         self._writer: RecordingWriter | None = None
         self._opened_ns = 0
+        self._is_stalled = False
 
     def recover_left_over(self) -> list[Recovered]:
         """Finish what a crash left open.
@@ -97,19 +99,34 @@ class Recorder:
     def hear(self, arrival: Arrival) -> None:
         """Record one arrival; begins a new file where the time or size is reached.
 
+        After an error the disk is left alone until :meth:`flush`: what is heard meanwhile waits in memory, within
+        limits, and is counted as lost beyond them.
+
         Raises:
-            StoreError: the disk is full or gone; what was heard waits in memory, within limits.
+            StoreError: the disk is full or gone.
         """
+        if self._writer is None and not self._is_stalled:
+            with self._stalling():
+                self._open()
         if self._writer is None:
-            self._open()
-        writer = self._writer
-        if writer is None:
+            self.lost += 1
             return
-        writer.add(arrival, utc_ns=self._clock.utc_ns(), rig=self._rig)
-        if self._is_due(writer):
-            self.rotate()
-        elif writer.wants_flush:
-            writer.flush()
+        self._writer.add(arrival, utc_ns=self._clock.utc_ns(), rig=self._rig)
+        if self._is_stalled:
+            return
+        with self._stalling():
+            if self._is_due(self._writer):
+                self.rotate()
+            elif self._writer.wants_flush:
+                self._writer.flush()
+
+    @contextlib.contextmanager
+    def _stalling(self) -> Iterator[None]:
+        try:
+            yield
+        except StoreError:
+            self._is_stalled = True
+            raise
 
     def _is_due(self, writer: RecordingWriter) -> bool:
         age_ns = self._clock.mono_ns() - self._opened_ns
@@ -121,13 +138,15 @@ class Recorder:
         Raises:
             StoreError: as :meth:`hear`.
         """
-        if self._writer is None:
-            self._open()
-        elif self._is_due(self._writer):
-            self.rotate()
-        else:
-            self._writer.flush()
-            self._tell(self._writer, closed=False)
+        with self._stalling():
+            if self._writer is None:
+                self._open()
+            elif self._is_due(self._writer):
+                self.rotate()
+            else:
+                self._writer.flush()
+                self._tell(self._writer, closed=False)
+        self._is_stalled = False
 
     def rotate(self) -> None:
         """Finish the file and begin the next.
@@ -158,11 +177,7 @@ class Recorder:
         return self.lost + (self._writer.lost if self._writer else 0)
 
     def _open(self) -> None:
-        try:
-            self._writer = RecordingWriter(self._free_name(), metadata=self._metadata)
-        except StoreError:
-            self.lost += 1
-            raise
+        self._writer = RecordingWriter(self._free_name(), metadata=self._metadata)
         self._opened_ns = self._clock.mono_ns()
         self._writer.flush()
         self._tell(self._writer, closed=False)

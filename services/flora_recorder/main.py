@@ -21,30 +21,32 @@ def build(app: App[RecorderSection]) -> None:
         metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
     )
     is_recovered = False
+    is_troubled = False
 
     def recover_left_over() -> None:
         nonlocal is_recovered
         for found in recorder.recover_left_over():
-            app.log.event(
-                "recovered",
-                path=found.path.name if found.path else "",
-                messages=found.messages,
-                problem=found.problem,
-            )
+            name = found.path.name if found.path else ""
+            app.log.event("recovered", path=name, messages=found.messages, problem=found.problem)
         is_recovered = True
 
     def guarded(work: Callable[[], None]) -> None:
+        nonlocal is_troubled
         try:
             work()
         except StoreError as problem:
-            lost = recorder.all_lost()
-            app.state("degraded", f"not recording: {problem}" + (f"; {lost} messages lost" if lost else ""))
+            # The reason must not change with every message: each change is a message itself.
+            is_troubled = True
+            app.state("degraded", f"not recording: {problem}")
 
     def flush() -> None:
+        nonlocal is_troubled
         recorder.flush()
         if not is_recovered:
             recover_left_over()
-        if app.is_ready:
+        if is_troubled:
+            is_troubled = False
+            app.log.warning("recording_again", lost=recorder.all_lost())
             app.state("ready")
 
     def hear(arrival: Arrival) -> None:
@@ -54,7 +56,7 @@ def build(app: App[RecorderSection]) -> None:
         try:
             recorder.close()
         except StoreError as problem:
-            app.log.error("not_finished", reason=str(problem))
+            app.log.problem("not_finished", str(problem))
 
     # Before READY: files are read whole here, which may take longer than the watchdog allows.
     guarded(recover_left_over)

@@ -12,6 +12,7 @@ from flora_common.errors import BadInput
 from flora_common.geometry import STEM_POINTS, FloatArray, resample_by_height
 from flora_common.runs import LIGHTS, Light, Track
 from flora_common.suggest import did_you_mean
+from flora_twin.box import CAMERA
 from flora_twin.parameters import PlantParameters
 from flora_twin.plant import STEP_S, Plants
 
@@ -52,7 +53,9 @@ def parse_schedule(text: str) -> LightSchedule:
     for number, entry in enumerate(entries, start=1):
         match = re.fullmatch(r"\s*([a-z]+)(?:\s+(\d+(?:\.\d+)?)\s*h)?\s*", entry)
         if match is None or (match.group(2) is None and number < len(entries)):
-            raise BadInput(f"schedule `{text}`: entry {number} must read like `left 6h`, the last like `left`; or `6h` alone")
+            raise BadInput(
+                f"schedule `{text}`: entry {number} must read like `left 6h`, the last like `left`; or `6h` alone"
+            )
         name = match.group(1)
         found = next((light for light in LIGHTS if light == name), None)
         if found is None:
@@ -64,8 +67,11 @@ def parse_schedule(text: str) -> LightSchedule:
 
 
 def stem_points_cm(centreline_cm: FloatArray) -> FloatArray:
-    """Ten points, shape (10, 2), of the picture-plane projection of a centreline (n, 3)."""
-    return resample_by_height(centreline_cm[:, :2], STEM_POINTS)
+    """Ten points, shape (10, 2), of a centreline (n, 3) as the box's camera sees it, at the scale of the plant's plane.
+
+    The part of a stem that leans away from the camera looks shorter, as it does in a photograph.
+    """
+    return resample_by_height(CAMERA.to_picture_plane_cm(CAMERA.project(centreline_cm)), STEM_POINTS)
 
 
 def grow_many(
@@ -110,7 +116,7 @@ def grow_many(
         used = plants.segments
         for i in range(plants.batch):
             points[i, row] = stem_points_cm(lines[i, : used[i] + 1])
-    time_s = np.arange(rows) * every_s
+    time_s = np.arange(rows, dtype=np.float64) * float(every_s)
     return [Track(time_s, tuple(lights), points[i], {}) for i in range(plants.batch)]
 
 

@@ -44,12 +44,12 @@ class PlantParameters:
     """Distance from the tip where tissue stops bending altogether (lignified). Estimate: the stem of Wahby et al. 2018
     keeps its curve for days."""
     photoception_per_cm_h: float = 0.31
-    """nu, towards one full lamp at the anchor's distance. Estimate: the swing of Wahby et al. 2018, section on reality."""
+    """nu, towards one full lamp at the anchor's distance. Estimate: lean and swing in Wahby et al. 2018."""
     graviception_per_cm_h: float = 0.26
-    """beta. Estimate: ratio of photo- to graviception about 2, Bastien et al. 2015 (M)."""
+    """beta. Estimate: between photo- and graviception neither wins, as in Bastien et al. 2015."""
     proprioception_per_h: float = 0.80
     """gamma. Estimate: beta * L_gz / gamma below 2.8, so that there is no overshoot (Bastien et al. 2018)."""
-    light_half: float = 0.1
+    light_half: float = 0.02
     """Light, relative to one full lamp, at which the logarithmic response to brightness sets in. Estimate."""
     photo_latency_min: float = 14.0
     """Mean delay between light and response. Arabidopsis, buckwheat: a few minutes to about 60 min."""

@@ -1,16 +1,16 @@
 """A bean stem as a growing rod in three dimensions.
 
-Model, after Bastien et al. 2013 (graviception and proprioception) and 2015 ("A unified model of shoot tropism in plants:
-photo-, gravi- and proprio-ception"), written for three dimensions with the curvature as a vector: with t the unit
-tangent, d the distance from the tip and x_perp the part of x that is perpendicular to t,
+Model, after Bastien et al. 2013 (graviception and proprioception) and 2015 ("A unified model of shoot tropism in
+plants: photo-, gravi- and proprio-ception"), written for three dimensions with the curvature as a vector: with t the
+unit tangent, d the distance from the tip and x_perp the part of x that is perpendicular to t,
 
     D(kappa)/Dt = w(d) * ( nu * S * light_perp + beta * up_perp - gamma * kappa + lambda * m(phi) + noise_perp )
 
 - ``light`` is the direction of the light at that place, the sum over the lit lamps, each falling with the square of its
   distance; S is the logarithm of its brightness, 1 for one full lamp at the anchor; both lag behind the lamps.
 - ``m(phi)`` turns round the stem once per period: circumnutation (Bastien and Meroz 2016).
-- ``w(d) = exp(-d / stiffening_cm)``, ending smoothly at ``mature_cm``: tissue stiffens as the tip grows away from it and
-  keeps the curvature that it had.
+- ``w(d) = exp(-d / stiffening_cm)``, ending smoothly at ``mature_cm``: tissue stiffens as the tip grows away from it
+  and keeps the curvature that it had.
 - Segments elongate in a zone of ``growth_zone_cm`` below the tip.
 
 The stem is a chain of straight segments that carry their tangents. The bend of a joint turns everything above it, so
@@ -34,7 +34,7 @@ from flora_twin.parameters import NAMES, PlantParameters, draw_individual
 State = dict[str, npt.NDArray[np.generic]]
 
 STEP_S: Final = 100.0
-"""The step that world and library use. Half of it changes the tip after 72 h by less than a plant's own noise."""
+"""The step that world and library use."""
 
 NEW_SEGMENT_CM: Final = 0.2
 LONG_SEGMENT_CM: Final = 0.4
@@ -61,7 +61,9 @@ class Plants:
     ) -> None:
         chosen = [draw_individual(seed) for seed in seeds] if parameters is None else list(parameters)
         if not chosen or len(chosen) != len(seeds):
-            raise ValueError(f"{len(seeds)} seeds and {len(chosen)} sets of parameters: one of each per plant is needed")
+            raise ValueError(
+                f"{len(seeds)} seeds and {len(chosen)} sets of parameters: one of each per plant is needed"
+            )
         self.box = box
         self.seeds = np.array(seeds, dtype=np.int64)
         self.parameters = tuple(chosen)
@@ -201,7 +203,7 @@ class Plants:
         light[0], light[1] = light_left, light_right
         self._seen[0] += gain * (np.clip(light, 0.0, 4.0) - self._seen[0])
         self._seen[1] += gain * (self._seen[0] - self._seen[1])
-        return self._seen[1]
+        return np.asarray(self._seen[1], dtype=np.float64)
 
     def _light(self, place: FloatArray, seen: FloatArray) -> FloatArray:
         """nu * S * direction of the light at every segment, shape (3, batch, n)."""
@@ -225,7 +227,7 @@ class Plants:
         tangent = self._tangent
         cos, sin = np.cos(self._phase)[:, None], -np.sin(self._phase)[:, None]
         along = (cos * tangent[0] + sin * tangent[2]) / np.maximum(1.0 + tangent[1], 1e-3)
-        out = -along * (tangent + _GROUND[:, None, None])
+        out: FloatArray = -along * (tangent + _GROUND[:, None, None])
         out[0] += cos
         out[2] += sin
         return out
@@ -249,7 +251,8 @@ class Plants:
     def _fill_noise(self) -> None:
         block = self._steps // _NOISE_BLOCK
         draws = [
-            np.random.default_rng([int(s), 2, block]).standard_normal((_NOISE_CHANNELS, _NOISE_BLOCK)) for s in self.seeds
+            np.random.default_rng([int(s), 2, block]).standard_normal((_NOISE_CHANNELS, _NOISE_BLOCK))
+            for s in self.seeds
         ]
         self._noise = np.stack(draws, axis=1)
 
@@ -341,7 +344,7 @@ class Plants:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], dtype=np.float64)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

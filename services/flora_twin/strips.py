@@ -15,8 +15,8 @@ PIXELS_PER_STRIP: Final = 144
 STRIP_BYTES: Final = 2 * PIXELS_PER_STRIP * 3
 
 PHOTOTROPIN: Final = np.array([0.0, 0.08, 0.92])
-"""Weight of red (630 nm), green (530 nm) and blue (475 nm) for bending: phototropins see blue (Christie and Murphy 2013).
-Green's share is an estimate. Full white is 1."""
+"""Weight of red (630 nm), green (530 nm) and blue (475 nm) for bending: phototropins see blue (Christie and Murphy
+2013). Green's share is an estimate. Full white is 1."""
 
 LIT: Final = 0.02
 """Share of full light above which a lamp counts as lit."""
@@ -44,7 +44,8 @@ class LampLight:
         return max(self.red, self.green, self.blue) > LIT
 
 
-DARK: Final = (LampLight(), LampLight())
+OFF: Final = LampLight()
+DARK: Final = (OFF, OFF)
 FULL_WHITE: Final = LampLight(1.0, 1.0, 1.0)
 
 

@@ -127,9 +127,8 @@ class Ledger:
                     with self._transaction():
                         self._db.execute("UPDATE files SET state = 'waiting', sha256 = '' WHERE state = 'stored'")
                         self._db.execute("UPDATE facts SET value = ? WHERE name = 'target'", (target,))
-                # A damaged or vanished file may have been put right by hand: look once more at each start.
-                with self._transaction():
-                    self._db.execute("UPDATE files SET state = 'waiting' WHERE state IN ('damaged', 'vanished')")
+                # What was damaged may have been put right by hand: look once more at each start.
+                self._db.execute("UPDATE files SET state = 'waiting' WHERE state = 'damaged'")
                 self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
         except BaseException:
             self._lock.close()
@@ -164,7 +163,9 @@ class Ledger:
                 )
             if version == 0:
                 db.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} PRAGMA user_version = {VERSION}; COMMIT;")
-            db.execute("SELECT run FROM files LIMIT 1").fetchone()
+            said = str(db.execute("PRAGMA quick_check(1)").fetchone()[0])
+            if said != "ok":
+                raise sqlite3.DatabaseError(said)
         except BaseException:
             db.close()
             raise
@@ -189,39 +190,49 @@ class Ledger:
 
     def see(self, run: str, found: Iterable[Found]) -> list[str]:
         """Take note of files in the spool: new and changed ones wait. Returns their paths."""
-        changed: list[Found] = []
+        changed: list[tuple[Found, str | None]] = []
         with _told():
             for file in found:
                 row = self._db.execute(
                     "SELECT size, mtime_ns, state FROM files WHERE run = ? AND path = ?", (run, file.path)
                 ).fetchone()
-                if row is None or (row[0], row[1]) != (file.size, file.mtime_ns) or row[2] in ("vanished", "freed"):
-                    changed.append(file)
+                if row is None:
+                    changed.append((file, None))
+                elif (row[0], row[1]) != (file.size, file.mtime_ns) or row[2] in ("vanished", "freed"):
+                    changed.append((file, row[2]))
             if changed:
                 with self._transaction():
                     self._db.executemany(
                         "INSERT INTO files (run, path, kind, size, mtime_ns, state) VALUES (?, ?, ?, ?, ?, 'waiting')"
                         " ON CONFLICT DO UPDATE SET size = excluded.size, mtime_ns = excluded.mtime_ns,"
                         " state = 'waiting', reason = ''",
-                        [(run, f.path, f.kind, f.size, f.mtime_ns) for f in changed],
+                        [(run, f.path, f.kind, f.size, f.mtime_ns) for f, _ in changed],
                     )
-                self._recount()
-        return [file.path for file in changed]
+        for _, before in changed:
+            self._count(before, "waiting")
+        return [file.path for file, _ in changed]
 
     def expect(self, run: str, sha256_of: dict[str, str]) -> None:
         """What the camera wrote, by path. A file that was stored with another content waits to be looked at again."""
+        news: list[tuple[str, str, str, str]] = []
+        reopened: list[str] = []
         with _told():
-            known = dict(self._db.execute("SELECT path, expected FROM files WHERE run = ?", (run,)).fetchall())
-            news = [(sha, run, path) for path, sha in sha256_of.items() if known.get(path, sha) != sha]
+            for path, sha256 in sha256_of.items():
+                row = self._db.execute(
+                    "SELECT expected, sha256, state FROM files WHERE run = ? AND path = ?", (run, path)
+                ).fetchone()
+                if row is None or row[0] == sha256:
+                    continue
+                state = row[2]
+                if state == "damaged" or (state == "stored" and row[1] != sha256):
+                    reopened.append(state)
+                    state = "waiting"
+                news.append((sha256, state, run, path))
             if news:
                 with self._transaction():
-                    self._db.executemany(
-                        "UPDATE files SET expected = ?1, state = CASE WHEN state = 'damaged' OR"
-                        " (state = 'stored' AND sha256 <> ?1) THEN 'waiting' ELSE state END"
-                        " WHERE run = ?2 AND path = ?3",
-                        news,
-                    )
-                self._recount()
+                    self._db.executemany("UPDATE files SET expected = ?, state = ? WHERE run = ? AND path = ?", news)
+        for before in reopened:
+            self._count(before, "waiting")
 
     # what to do next
 
@@ -258,6 +269,8 @@ class Ledger:
     def stored(self, entry: Entry, sha256: str, size: int, mtime_ns: int, now_ns: int) -> None:
         """Verified at the target; durable when this returns. A spool file that has changed since then waits again."""
         self._write(
+            entry,
+            "stored",
             "UPDATE files SET state = 'stored', sha256 = ?, size = ?, mtime_ns = ?, verified_ns = ?, checked_ns = ?,"
             " reason = '' WHERE run = ? AND path = ?",
             (sha256, size, mtime_ns, now_ns, now_ns, *entry.key),
@@ -265,25 +278,35 @@ class Ledger:
 
     def checked(self, entry: Entry, now_ns: int) -> None:
         """Read at the target, and good."""
-        self._write("UPDATE files SET checked_ns = ? WHERE run = ? AND path = ?", (now_ns, *entry.key))
+        with _told():
+            self._db.execute("UPDATE files SET checked_ns = ? WHERE run = ? AND path = ?", (now_ns, *entry.key))
 
     def mark(self, entry: Entry, state: FileState, reason: str = "") -> None:
         """Another state, and why."""
         self._write(
-            "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?", (state, reason[:500], *entry.key)
+            entry,
+            state,
+            "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?",
+            (state, reason[:500], *entry.key),
         )
 
     def forget(self, entry: Entry) -> None:
         """A growing file that nobody has any more."""
-        self._write("DELETE FROM files WHERE run = ? AND path = ?", entry.key)
+        self._write(entry, None, "DELETE FROM files WHERE run = ? AND path = ?", entry.key)
 
-    def _write(self, statement: str, values: tuple[object, ...]) -> None:
+    def _write(self, entry: Entry, state: FileState | None, statement: str, values: tuple[object, ...]) -> None:
         with _told():
+            row = self._db.execute("SELECT state FROM files WHERE run = ? AND path = ?", entry.key).fetchone()
             self._db.execute(statement, values)
-            self._recount()
+        if row is not None:
+            self._count(row[0], state)
 
-    def _recount(self) -> None:
-        self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
+    def _count(self, before: str | None, after: str | None) -> None:
+        # Kept by hand: counting a hundred thousand rows after each file would take longer than the file.
+        if before is not None:
+            self.counts[before] -= 1
+        if after is not None:
+            self.counts[after] += 1
 
     def close(self) -> None:
         self._db.close()

@@ -74,7 +74,7 @@ def write_pictures(folder: Path) -> None:
 
 
 def write_run(folder: Path, **changed: str | bytes | None) -> None:
-    """A run folder that is good but for what is changed; keys are paths with ``__`` for ``/`` and ``_dot_`` for ``.``."""
+    """A run folder that is good but for what is changed; in keys ``__`` stands for ``/`` and ``_dot_`` for ``.``."""
     content: dict[str, str | bytes | None] = {
         "run_dot_toml": RUN_TOML,
         "frames_dot_csv": FRAMES_CSV,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tomllib
@@ -73,7 +74,9 @@ def test_reduced_decoding_averages_squares(suffix: str, reduction: int, size: tu
 
 
 def test_orientation_note_is_not_applied() -> None:
-    exif = b"Exif\x00\x00II*\x00\x08\x00\x00\x00\x01\x00\x12\x01\x03\x00\x01\x00\x00\x00\x06\x00\x00\x00\x00\x00\x00\x00"
+    exif = (
+        b"Exif\x00\x00II*\x00\x08\x00\x00\x00\x01\x00\x12\x01\x03\x00\x01\x00\x00\x00\x06\x00\x00\x00\x00\x00\x00\x00"
+    )
     turned = JPEG[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + JPEG[2:]
     assert decode_picture(turned, where="x").shape == (40, 60, 3)
 
@@ -130,12 +133,13 @@ def test_damaged_jpeg_is_refused_or_has_the_size_of_its_header(changes: list[tup
     damaged = bytearray(JPEG)
     for place, value in changes:
         damaged[place] = value
-    try:
+    size = None
+    with contextlib.suppress(BadPicture):
         size = picture_size(bytes(damaged), where="x")
-        if size[0] * size[1] > 1_000_000:
-            return  # legal by its header, and slow to decode
+    if size is not None and size[0] * size[1] > 1_000_000:
+        return  # legal by its header, and slow to decode
+    try:
         decoded = decode_picture(bytes(damaged), where="x")
-    except BadPicture as told:
-        assert "\n" not in str(told)
-    else:
-        assert (decoded.shape[1], decoded.shape[0]) == size
+    except BadPicture:
+        return
+    assert size == (decoded.shape[1], decoded.shape[0])

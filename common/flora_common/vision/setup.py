@@ -174,7 +174,8 @@ def learn_from_frames(frames: Sequence[Picture], *, percentiles: tuple[float, fl
     takes them from the dark end: a plant before black cloth is brighter than any empty place, so a place shows what it
     looks like empty as soon as the plant is away from it in a tenth of the frames. (Percentiles about the median would
     need half of them, and a stem that hardly moves is then taken for setup.) For a dark plant before a bright wall use
-    the bright end, ``(90, 95)``. A place that the plant never leaves, such as a stem's base, cannot be known this way.
+    the bright end, ``(90, 95)``. A place that the plant never leaves, such as a stem's base, cannot be known this way:
+    there the stem is not seen, and in a frame without a plant its absence is.
 
     Args:
         frames: at least 5, all of one size, spread over the whole stretch of time.

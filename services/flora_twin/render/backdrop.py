@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_twin.box import Box
+from flora_twin.box import Box, PinholeCamera
 from flora_twin.render import lighting
-from flora_twin.render.camera import PinholeCamera
 from flora_twin.render.surfaces import FLOOR, LAMP, POT, SOIL, Float32, Surfaces, see_box
-from flora_twin.strips import LampLight
+from flora_twin.strips import OFF, LampLight
 
 LENS_BLUR_PX: Final = 0.75
 _KEPT: Final = 6
@@ -49,9 +48,8 @@ class Backdrop:
             return self._ready[key]
         total = self.leak.copy()
         for lamp, unit in zip(key, self._lamps, strict=True):
-            if lamp != LampLight():
-                b, g, r = (float(v) for v in lighting.lamp_bgr(lamp))
-                total = cv2.add(total, cv2.multiply(unit, (b, g, r, 0.0)))
+            if lamp != OFF:
+                total += unit * lighting.lamp_bgr(lamp)
         np.minimum(total, _SATURATED, out=total)
         self._ready[key] = total
         if len(self._ready) > _KEPT:
@@ -76,7 +74,7 @@ def _vignette(camera: PinholeCamera) -> Float32:
 
 
 def _facing(surfaces: Surfaces, towards: Float32) -> Float32:
-    return np.maximum(np.einsum("...i,...i->...", surfaces.normal, towards), 0.0)
+    return np.asarray(np.maximum(np.einsum("...i,...i->...", surfaces.normal, towards), 0.0), dtype=np.float32)
 
 
 def _flash_light(s: Surfaces, box: Box) -> Float32:
@@ -88,12 +86,15 @@ def _flash_light(s: Surfaces, box: Box) -> Float32:
     through = np.hypot(s.place_cm[..., 0], s.place_cm[..., 2]) * drop
     open_sky = _smooth(through, box.pot_top_radius_cm - 0.2, box.pot_top_radius_cm + 1.2)
     direct[floor] *= open_sky[floor]
-    near_pot = np.exp(-np.maximum(np.hypot(s.place_cm[..., 0], s.place_cm[..., 2]) - box.pot_bottom_radius_cm, 0.0) / 4.0)
+    near_pot = np.exp(
+        -np.maximum(np.hypot(s.place_cm[..., 0], s.place_cm[..., 2]) - box.pot_bottom_radius_cm, 0.0) / 4.0
+    )
     bounce = lighting.FLASH_BOUNCE * level
     bounce[floor] *= (1.0 - 0.55 * near_pot)[floor]
     side = s.kind == POT
     bounce[side] *= (0.75 + 0.25 * s.normal[..., 2])[side]
-    return s.albedo * (direct + bounce)[..., None] * lighting.FLASH_BGR
+    total: Float32 = s.albedo * (direct + bounce)[..., None] * lighting.FLASH_BGR
+    return total
 
 
 def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32:
@@ -113,7 +114,8 @@ def _pot_shadow(place_cm: Float32, lamp_cm: npt.NDArray[np.float64], box: Box) -
     along = -(place_cm[..., 0] * step[..., 0] + place_cm[..., 2] * step[..., 2])
     t = np.clip(along / (step[..., 0] ** 2 + step[..., 2] ** 2), 0.0, end)
     distance = np.hypot(place_cm[..., 0] + t * step[..., 0], place_cm[..., 2] + t * step[..., 2])
-    return np.where(end > 0.02, _smooth(distance, box.pot_top_radius_cm - 1.0, box.pot_top_radius_cm + 0.8), 1.0)
+    seen = np.where(end > 0.02, _smooth(distance, box.pot_top_radius_cm - 1.0, box.pot_top_radius_cm + 0.8), 1.0)
+    return np.asarray(seen, dtype=np.float32)
 
 
 def _shadow_map(s: Surfaces, box: Box) -> tuple[tuple[slice, slice], Float32]:

@@ -53,7 +53,9 @@ class Sensor:
     def __init__(self, width_px: int, height_px: int, seed: int) -> None:
         rng = np.random.default_rng([seed, 31])
         pool = rng.standard_normal((height_px + _POOL_MARGIN, width_px + _POOL_MARGIN, 3), dtype=np.float32)
-        pool = cv2.GaussianBlur(pool, (3, 3), 0.55)  # neighbouring pixels share noise after demosaicing
+        pool = np.asarray(
+            cv2.GaussianBlur(pool, (3, 3), 0.55), np.float32
+        )  # neighbouring pixels share noise after demosaicing
         self._pool = np.asarray(np.rint(pool / pool.std() * 64.0), dtype=np.int16)
 
     @staticmethod
@@ -61,14 +63,15 @@ class Sensor:
         """Colour gains, in place."""
         red, blue = (gain / known for gain, known in zip(exposure.colour_gains, REFERENCE_COLOUR_GAINS, strict=True))
         if red != 1.0 or blue != 1.0:
-            cv2.multiply(light, (blue, 1.0, red, 0.0), dst=light)
+            light *= np.array([blue, 1.0, red], np.float32)
 
     def develop(self, light: Float32, exposure: Exposure, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-        """An 8-bit picture (height, width, 3), blue, green, red, from light that has been exposed; overwrites ``light``.
+        """An 8-bit picture (height, width, 3), blue, green, red, from light as exposed; overwrites ``light``.
 
-        The tone curve is the square root (a gamma of 2), under which shot noise is even and read noise grows in the dark.
+        The tone curve is the square root (a gamma of 2), under which shot noise is even and read noise grows in the
+        dark.
         """
-        cv2.max(light, 0.0, dst=light)
+        np.maximum(light, 0.0, out=light)
         cv2.sqrt(light, dst=light)
         flat = cv2.convertScaleAbs(light, alpha=255.0)
         height, width = flat.shape[:2]
@@ -94,4 +97,4 @@ def _noise_sizes(gain: float) -> npt.NDArray[np.uint8]:
     read = READ_NOISE * gain * 24.0 / value
     size = np.sqrt(shot**2 + read**2)
     size[255] = 0.0
-    return np.clip(np.rint(size * 32.0), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(size * 32.0), 0, 255), dtype=np.uint8)

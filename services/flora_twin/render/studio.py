@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.geometry import FloatArray
-from flora_twin.box import BOX, Box
+from flora_twin.box import BOX, CAMERA, Box, PinholeCamera
 from flora_twin.render import lighting
 from flora_twin.render.backdrop import LENS_BLUR_PX, Backdrop
-from flora_twin.render.camera import CAMERA, PinholeCamera
 from flora_twin.render.foliage import Subject, plant_mesh
 from flora_twin.render.mesh import Mesh
 from flora_twin.render.sensor import Exposure, Sensor
 from flora_twin.render.surfaces import Float32
-from flora_twin.strips import LampLight
+from flora_twin.strips import OFF, LampLight
 
 EXPOSURE_JITTER: Final = 0.008
 FLASH_JITTER: Final = 0.015
@@ -34,8 +33,8 @@ _SHADOW_DEPTH: Final = 0.82
 class Lighting:
     """What shines while the shutter is open."""
 
-    left: LampLight = LampLight()
-    right: LampLight = LampLight()
+    left: LampLight = OFF
+    right: LampLight = OFF
     flash: bool = True
 
 
@@ -169,7 +168,7 @@ def _shade(mesh: Mesh, shadow: _ShadowMap, lighting_now: Lighting, flash: float,
         blocked = 1.0 - 0.70 * shadow.over(place)
         total += (level * (blocked * _received(mesh, towards) + lighting.FLASH_BOUNCE))[:, None] * lighting.FLASH_BGR
     for which, lamp in enumerate((lighting_now.left, lighting_now.right)):
-        if lamp != LampLight():
+        if lamp != OFF:
             level, towards = lighting.lamp_at(place, which, box)
             got = level * _received(mesh, towards) + lighting.LAMP_BOUNCE * lighting.LAMP_LEVEL
             total += got[:, None] * lighting.lamp_bgr(lamp)
@@ -177,7 +176,7 @@ def _shade(mesh: Mesh, shadow: _ShadowMap, lighting_now: Lighting, flash: float,
 
 
 def _received(mesh: Mesh, towards: Float32) -> FloatArray:
-    """Share of a light that a face sends on: stems scatter inside and are bright past their edge, blades let some through."""
+    """Share of a light that a face sends on: stems are bright past their edge, blades let some through."""
     facing = np.einsum("ij,ij->i", mesh.normal, towards)
     round_stem = np.maximum((facing + 0.55) / 1.55, 0.0)
     thin_blade = 0.12 + 0.88 * np.abs(facing)

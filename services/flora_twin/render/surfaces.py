@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_twin.box import Box
-from flora_twin.render.camera import PinholeCamera
+from flora_twin.box import Box, PinholeCamera
 
 Float32 = npt.NDArray[np.float32]
 
@@ -96,7 +95,7 @@ def _add_cone(
     inner: bool = False,
     centre: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.bool_]:
-    """An upright cone mantle of radius ``radius_cm + slope * y``; its inside where ``inner``. Returns what it covers."""
+    """An upright cone mantle of radius ``radius_cm + slope * y``, or its inside; returns the pixels that it covers."""
     cx, cz = (0.0, 0.0) if centre is None else (float(centre[0]), float(centre[2]))
     ox, oz = float(eye[0]) - cx, float(eye[2]) - cz
     r0 = radius_cm + slope * float(eye[1])
@@ -133,7 +132,9 @@ def _albedo(place: Float32, normal: Float32, kind: npt.NDArray[np.uint8], rng: n
     out[floor] = (1.15 * board[floor] * dust)[:, None] * np.array([0.98, 1.0, 1.04], np.float32)
     soil = kind == SOIL
     crumbs = cv2.GaussianBlur(grain, (0, 0), 2.2) * 5.5 + 0.8 * fine
-    out[soil] = (0.050 * np.clip(1.0 + 0.40 * crumbs[soil], 0.25, 2.6))[:, None] * np.array([0.62, 0.85, 1.1], np.float32)
+    out[soil] = (0.050 * np.clip(1.0 + 0.40 * crumbs[soil], 0.25, 2.6))[:, None] * np.array(
+        [0.62, 0.85, 1.1], np.float32
+    )
     pot = kind == POT
     height = place[pot][:, 1]
     ring = 1.0 - 0.30 * np.exp(-(((height + 1.4) / 0.12) ** 2)) - 0.12 * np.exp(-(((height + 6.5) / 0.10) ** 2))

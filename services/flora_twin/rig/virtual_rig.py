@@ -17,7 +17,19 @@ from typing import Final, Self
 from flora_common.bus import BusClient
 from flora_common.clock import FollowerClock
 from flora_common.config import RigSection, load_config
-from flora_common.messages import ControllerState, FrameMissed, Health, Lamps, LightCommand, Message, Stem, Stored, Tick
+from flora_common.messages import (
+    ControllerState,
+    Flash,
+    Frame,
+    FrameMissed,
+    Health,
+    Lamps,
+    LightCommand,
+    Message,
+    Stem,
+    Stored,
+    Tick,
+)
 from flora_common.twin_link import TwinLink
 from flora_twin.rig.layout import Layout, remove_sockets
 from flora_twin.rig.supervisor import ServiceFailed, Supervisor, command, wait_until
@@ -45,6 +57,8 @@ STOP_ORDER: Final = (
 )
 """The beat first, then down the line; the uploader last, so that the closed recording still reaches the NAS."""
 
+WATCHED: Final = (Tick, Flash, Frame, FrameMissed, Stem, LightCommand, ControllerState, Lamps, Stored, Health)
+
 ANSWER_WITHIN_S: Final = 30.0
 CALIBRATION_WITHIN_S: Final = 120.0
 
@@ -57,7 +71,9 @@ class Seen:
     stem: Stem | None = None
     lamps: Lamps | None = None
     controller: ControllerState | None = None
+    flash: Flash | None = None
     stored: Stored | None = None
+    frames: list[Frame] = field(default_factory=list)
     missed: list[FrameMissed] = field(default_factory=list)
     outcomes: dict[str, int] = field(default_factory=dict)
     health: dict[str, Health] = field(default_factory=dict)
@@ -78,6 +94,10 @@ class Seen:
                 self.controller = message
             case Stored():
                 self.stored = message
+            case Flash():
+                self.flash = message
+            case Frame():
+                self.frames.append(message)
             case FrameMissed():
                 self.missed.append(message)
             case Health():
@@ -151,7 +171,7 @@ class VirtualRig:
         mono_ns, utc_ns, rate = self.box.now()
         clock = FollowerClock(rate, mono_ns=mono_ns, utc_ns=utc_ns)
         self._bus = BusClient(rig.bus, rig=rig.name, source="flora-twin-rig", clock=clock)
-        self._bus.subscribe(Tick, Stem, Lamps, LightCommand, ControllerState, Stored, FrameMissed, Health)
+        self._bus.subscribe(*WATCHED)
         self._bus.connect()
 
     def poll(self) -> None:

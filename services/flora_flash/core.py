@@ -1,0 +1,153 @@
+"""The beat: which tick is next, when it is due, and what time it is in the run. Pure: readings of the clock come in.
+
+Due times are a grid: last due time plus the interval. A beat that comes late is late once; beats that can no longer be
+made up for are counted and left out, so two photographs are never closer than half an interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import msgspec
+
+from flora_common.clock import NS
+from flora_common.messages import Tick
+from flora_common.messages.catalogue import Purpose
+from flora_common.messages.envelope import Count, Nanoseconds, Seconds
+
+STATE_FILE: Final = "flash.json"
+
+LONGEST_ABSENCE_S: Final = 30 * 86_400.0
+"""After a restart of the machine the wall clock is believed where it says that less than this has passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The clocks at one moment; ``mono_ns`` counts from the start of the boot that ``boot_id`` names."""
+
+    mono_ns: int
+    utc_ns: int
+    boot_id: str
+
+
+class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What outlasts a restart.
+
+    Attributes:
+        tick: the last number given out.
+        run: name of the run folder that ``time_s`` and ``due_s`` belong to.
+        begun: the run has had its first tick.
+        time_s: run time of its last tick (pictures of the empty setup do not count).
+        due_s: run time at which that was due.
+        mono_ns, utc_ns, boot_id: the clocks at ``time_s``.
+        purpose, shot: what the last number was for.
+        setup: the step of a setup run that the last picture of the empty setup answered.
+    """
+
+    tick: Count = 0
+    run: Annotated[str, msgspec.Meta(max_length=255)] = ""
+    begun: bool = False
+    time_s: Seconds = 0.0
+    due_s: Seconds = 0.0
+    mono_ns: Nanoseconds = 0
+    utc_ns: Nanoseconds = 0
+    boot_id: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    purpose: Purpose = "run"
+    shot: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    setup: Annotated[str, msgspec.Meta(max_length=128)] = ""
+
+
+class Beat:
+    """Numbers and due times.
+
+    Args:
+        interval_s: seconds of run time between ticks.
+        run: name of the run folder.
+        state: as left by the last start; None for the very first.
+        now: the clocks.
+        box_time: run time is the rig's own clock, as in the virtual rig; otherwise it is 0 at the run's first tick.
+    """
+
+    def __init__(
+        self, interval_s: float, *, run: str, state: BeatState | None, now: Reading, box_time: bool = False
+    ) -> None:
+        self._interval_s = interval_s
+        self._box_time = box_time
+        state = state or BeatState()
+        if state.run != run:
+            state = BeatState(tick=state.tick, run=run)
+        self.state = state
+        # Rig time at which the run's time was 0.
+        self._zero_ns = 0 if box_time else now.mono_ns - round((state.time_s + self._away_s(now)) * NS)
+
+    def _away_s(self, now: Reading) -> float:
+        state = self.state
+        if now.boot_id and now.boot_id == state.boot_id and now.mono_ns >= state.mono_ns:
+            return (now.mono_ns - state.mono_ns) / NS
+        by_wall_s = (now.utc_ns - state.utc_ns) / NS
+        return by_wall_s if 0.0 < by_wall_s <= LONGEST_ABSENCE_S else self._interval_s
+
+    def time_s(self, mono_ns: int) -> float:
+        """Run time; 0 before the run's first tick."""
+        return (mono_ns - self._zero_ns) / NS if self.state.begun or self._box_time else 0.0
+
+    @property
+    def due_ns(self) -> int:
+        """Rig time at which the next tick is due; 0 where it is due at once."""
+        if not self.state.begun:
+            return 0
+        return self._zero_ns + round((self.state.due_s + self._interval_s) * NS)
+
+    def at_least(self, tick: int) -> None:
+        """A number that the bus has heard is not given out again, whatever the file says."""
+        if tick > self.state.tick:
+            self.state = msgspec.structs.replace(self.state, tick=tick)
+
+    def next(self, now: Reading) -> Tick:
+        """Start the tick that is due."""
+        skipped, late_s = 0, 0.0
+        if not self.state.begun:
+            if not self._box_time:
+                self._zero_ns = now.mono_ns
+            time_s = due_s = (now.mono_ns - self._zero_ns) / NS
+        else:
+            time_s = self.time_s(now.mono_ns)
+            beats = max(1, round((time_s - self.state.due_s) / self._interval_s))
+            due_s = self.state.due_s + beats * self._interval_s
+            skipped, late_s = beats - 1, max(0.0, time_s - due_s)
+        self.state = BeatState(
+            tick=self.state.tick + 1,
+            run=self.state.run,
+            begun=True,
+            time_s=time_s,
+            due_s=due_s,
+            mono_ns=now.mono_ns,
+            utc_ns=now.utc_ns,
+            boot_id=now.boot_id,
+            setup=self.state.setup,
+        )
+        return Tick(tick=self.state.tick, time_s=time_s, late_s=late_s, skipped=skipped)
+
+    def background(self, now: Reading, *, shot: str, setup: str) -> Tick:
+        """Start a picture of the empty setup: a fresh number, outside the grid."""
+        self.state = msgspec.structs.replace(
+            self.state, tick=self.state.tick + 1, purpose="background", shot=shot, setup=setup
+        )
+        return self.again(now)
+
+    def again(self, now: Reading) -> Tick:
+        """The last tick once more, for one that was written down and never announced."""
+        state = self.state
+        time_s = state.time_s if state.purpose == "run" else self.time_s(now.mono_ns)
+        return Tick(tick=state.tick, time_s=time_s, purpose=state.purpose, shot=state.shot)
+
+    def give_up_setup(self) -> None:
+        """The last picture of the empty setup failed: its step may be asked for again."""
+        self.state = msgspec.structs.replace(self.state, setup="")
+
+
+def recovered(run: str, *, last_tick: int, last_time_s: float | None) -> BeatState:
+    """State for a run whose state file is gone: numbers and times go on after the photographs that are there."""
+    begun = last_time_s is not None
+    return BeatState(tick=last_tick, run=run, begun=begun, time_s=last_time_s or 0.0, due_s=last_time_s or 0.0)

@@ -1,0 +1,274 @@
+"""The hand-shake of a tick: light the lamp, wait for the photograph, dark again. Each step is an event, no sleep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from flora_common.clock import NS
+from flora_common.errors import DeviceError, DiskFull
+from flora_common.files import write_text
+from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
+from flora_common.service import App, Timer
+from flora_flash.backends import Lamp, NoLamp
+from flora_flash.core import STATE_FILE, Beat, Reading
+
+SETUP_LEASE_S: Final = 60.0
+"""A setup run that has said nothing for so long, in real seconds, is over."""
+DARK_AGAIN_S: Final = 5.0
+BOX_AGAIN_S: Final = 1.0
+
+RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
+
+
+class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[flash]``. Time-outs are real seconds: they guard devices."""
+
+    backend: Literal["gpio", "virtual", "none"] = "gpio"
+    chip: str = "/dev/gpiochip0"
+    line: Annotated[int, msgspec.Meta(ge=0, le=1023)] = 17
+    active_low: bool = False
+    frame_timeout_s: RealSeconds = 45.0
+    answer_timeout_s: RealSeconds = 60.0
+    wait_for_background: bool = False
+
+
+class FlashService:
+    """The hand-shake of one tick after the other.
+
+    Args:
+        app: the running service.
+        lamp: the flash lamp.
+        beat: numbers and due times.
+        boot_id: names the boot that monotonic time counts from.
+    """
+
+    def __init__(self, app: App[FlashSection], lamp: Lamp, beat: Beat, *, boot_id: str) -> None:
+        self._app = app
+        self._lamp = lamp
+        self._beat = beat
+        self._boot_id = boot_id
+        self._file = app.state_dir / STATE_FILE
+        self._open: Tick | None = None
+        """The tick whose photograph is awaited."""
+        self._unanswered = 0
+        """In lock-step: the tick whose lamps are awaited."""
+        self._setup: Setup | None = None
+        self._setup_lamps = 0
+        """The step of the setup run whose lamps shine, until its picture is begun."""
+        self._ready = False
+        self._timers: dict[str, Timer] = {}
+        app.on(Tick, lambda _: None)  # our own last words, kept by the bus: how far the last start had come
+        app.on(Flash, lambda _: None)
+        app.on(Frame, lambda frame: self._photographed(frame.tick))
+        app.on(FrameMissed, self._missed)
+        app.on(Lamps, self._lamps_shine)
+        app.on(Setup, self._setup_said)
+        app.on_ready(self._resume)
+        app.on_exit(self._leave_dark)
+
+    # the beat
+
+    def _resume(self) -> None:
+        """The bus has handed over what it kept: carry on where the last start was killed."""
+        self._ready = True
+        inbox = self._app.inbox
+        asked, tick = inbox.last(Flash), inbox.last(Tick)
+        over = max(getattr(inbox.last(kind), "tick", 0) for kind in (Frame, FrameMissed, Lamps))
+        lamps = inbox.last(Lamps)
+        written = self._beat.state.tick
+        self._beat.at_least(tick.tick if tick else 0)
+        is_of_this_run = self._beat.state.begun or self._beat.state.purpose == "background"
+        if written != self._beat.state.tick or written <= over or not is_of_this_run:
+            self._proceed()
+            return
+        if self._in_lock_step() and self._beat.state.purpose == "run" and (lamps is None or lamps.tick < written):
+            self._unanswered = written
+        last = self._beat.again(self._now())
+        if asked is None or asked.tick < written:
+            if tick is None or tick.tick < written:
+                self._app.publish(last)
+            self._light(last)
+        else:
+            self._open = last
+            self._say(last, lit=False, reason="flora-flash was started again")
+            self._await_frame()
+
+    def _proceed(self) -> None:
+        """Do what is next, or arrange to be called when it is."""
+        self._cancel("due")
+        if not self._ready or self._open is not None:
+            return
+        if self._setup is not None:
+            self._setup_shot(self._setup)
+        elif self._unanswered:
+            return
+        elif self._app.config.wait_for_background and not self._app.run.background_pictures():
+            self._after("due", 1.0, self._proceed)
+        else:
+            self._after("due", self._app.clock.real_s_until(self._beat.due_ns), self._due)
+
+    def _due(self) -> None:
+        clock, due_ns = self._app.clock, self._beat.due_ns
+        if due_ns > clock.mono_ns():
+            try:
+                clock.move_to(due_ns)
+            except DeviceError as problem:
+                self._app.trouble("clock", str(problem))
+                self._after("due", BOX_AGAIN_S, self._proceed)
+                return
+        self._app.trouble("clock", "")
+        tick = self._beat.next(self._now())
+        if self._in_lock_step():
+            self._unanswered = tick.tick
+        if tick.skipped:
+            self._app.log.warning("beats_skipped", tick=tick.tick, skipped=tick.skipped)
+        self._start(tick)
+
+    def _start(self, tick: Tick) -> None:
+        try:
+            write_text(self._file, msgspec.json.encode(self._beat.state).decode() + "\n")
+            self._app.trouble("state", "")
+        except (DiskFull, OSError) as problem:
+            # Lamps and controller live by the beat, a full disk or not. Until there is room, the bus alone remembers.
+            self._app.trouble("state", f"the tick's number cannot be kept: {problem}")
+        self._app.publish(tick)
+        self._light(tick)
+
+    # the lamp
+
+    def _light(self, tick: Tick) -> None:
+        self._open = tick
+        self._say(tick, lit=True, reason="")
+        self._await_frame()
+
+    def _await_frame(self) -> None:
+        self._after("frame", self._app.config.frame_timeout_s, self._frame_timed_out)
+
+    def _photographed(self, tick: int) -> None:
+        if self._open is not None and self._open.tick == tick:
+            self._app.trouble("frame", "")
+            self._dark(self._open, "")
+
+    def _missed(self, missed: FrameMissed) -> None:
+        if self._open is not None and self._open.tick == missed.tick:
+            self._shot_failed(self._open)
+            self._dark(self._open, f"no photograph: {missed.because}")
+
+    def _frame_timed_out(self) -> None:
+        if self._open is not None:
+            waited = f"no word of a photograph for {self._app.config.frame_timeout_s:g} s"
+            self._app.trouble("frame", f"{waited}: is flora-capture running?")
+            self._shot_failed(self._open)
+            self._dark(self._open, waited)
+
+    def _shot_failed(self, tick: Tick) -> None:
+        if tick.purpose == "background":
+            self._beat.give_up_setup()
+
+    def _dark(self, tick: Tick, reason: str) -> None:
+        self._cancel("frame")
+        self._open = None
+        self._say(tick, lit=False, reason=reason)
+        if self._unanswered:
+            self._after("answer", self._app.config.answer_timeout_s, self._answer_timed_out)
+        self._proceed()
+
+    def _say(self, tick: Tick, *, lit: bool, reason: str) -> None:
+        confirmed, problem = self._switch(lit)
+        self._app.publish(
+            Flash(
+                tick=tick.tick,
+                lit=lit,
+                confirmed=confirmed,
+                time_s=tick.time_s,
+                purpose=tick.purpose,
+                shot=tick.shot,
+                reason="; ".join(part for part in (reason, problem) if part)[:500],
+            )
+        )
+
+    def _switch(self, on: bool) -> tuple[bool, str]:
+        """(whether the lamp says so too, what is wrong where it does not)."""
+        self._cancel("dark")
+        try:
+            done, problem = self._lamp.switch(on) == on, self._lamp.excuse
+        except DeviceError as failure:
+            done, problem = False, str(failure)
+        if not isinstance(self._lamp, NoLamp):
+            self._app.trouble("lamp", "" if done else f"flash lamp: {problem}")
+        if not done and not on:
+            self._after("dark", DARK_AGAIN_S, self._dark_again)
+        return done, "" if done else problem
+
+    def _dark_again(self) -> None:
+        self._switch(False)
+
+    def _leave_dark(self) -> None:
+        done, problem = self._switch(False)
+        if not done:
+            self._app.log.error("flash_not_dark", reason=problem)
+        self._lamp.close()
+
+    # the answer, in lock-step
+
+    def _in_lock_step(self) -> bool:
+        clock = self._app.clock
+        return clock.real_s_until(clock.mono_ns() + NS) == 0.0
+
+    def _lamps_shine(self, lamps: Lamps) -> None:
+        if lamps.setup_step:
+            self._setup_lamps = lamps.setup_step
+            self._proceed()
+        elif lamps.tick == self._unanswered:
+            self._answered()
+
+    def _answered(self) -> None:
+        self._app.trouble("answer", "")
+        self._cancel("answer")
+        self._unanswered = 0
+        self._proceed()
+
+    def _answer_timed_out(self) -> None:
+        tick = self._unanswered
+        self._answered()
+        waited_s = self._app.config.answer_timeout_s
+        self._app.trouble("answer", f"tick {tick}: the lamps did not answer within {waited_s:g} s; going on")
+
+    # setup runs
+
+    def _setup_said(self, setup: Setup) -> None:
+        if not setup.active:
+            self._setup_over()
+            return
+        self._setup = setup
+        self._after("setup", SETUP_LEASE_S, self._setup_over)
+        self._proceed()
+
+    def _setup_over(self) -> None:
+        self._cancel("setup")
+        self._setup, self._setup_lamps = None, 0
+        self._proceed()
+
+    def _setup_shot(self, setup: Setup) -> None:
+        key = f"{setup.session}:{setup.step}:{setup.shot}"
+        if setup.step == 0 or self._setup_lamps != setup.step or self._beat.state.setup == key:
+            return
+        self._setup_lamps = 0
+        self._start(self._beat.background(self._now(), shot=setup.shot, setup=key))
+
+    # small things
+
+    def _now(self) -> Reading:
+        return Reading(self._app.clock.mono_ns(), self._app.clock.utc_ns(), self._boot_id)
+
+    def _after(self, key: str, real_s: float, call: Callable[[], None]) -> None:
+        self._cancel(key)
+        self._timers[key] = self._app.after(real_s, call)
+
+    def _cancel(self, key: str) -> None:
+        timer = self._timers.pop(key, None)
+        if timer is not None:
+            timer.cancel()

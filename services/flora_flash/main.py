@@ -1,0 +1,107 @@
+"""flora-flash: choose the lamp, find where the beat was left, and hand both to the hand-shake."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from flora_common.clock import Clock
+from flora_common.config import RigSection
+from flora_common.errors import BadInput
+from flora_common.runs import RunFolder
+from flora_common.service import Action, App, default_clock, run_service
+from flora_common.twin_link import TwinLink, leader_clock
+from flora_flash.backends import Lamp, NoLamp
+from flora_flash.core import STATE_FILE, Beat, BeatState, Reading, recovered
+from flora_flash.handshake import FlashSection, FlashService
+
+BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+def open_lamp(rig: RigSection, config: FlashSection) -> Lamp:
+    """The lamp that the configuration names."""
+    if config.backend == "gpio":
+        from flora_flash.backends.gpio import GpioLamp  # noqa: PLC0415 - only what is used is loaded
+
+        return GpioLamp(config.chip, config.line, active_low=config.active_low)
+    if config.backend == "virtual":
+        from flora_flash.backends.virtual import VirtualLamp  # noqa: PLC0415
+
+        return VirtualLamp(rig.clock.twin)
+    return NoLamp()
+
+
+def boot_id() -> str:
+    """Names this boot of the machine; empty where the kernel does not tell."""
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def read_state(file: Path, run: RunFolder) -> BeatState | None:
+    """Where the beat was left.
+
+    Raises:
+        BadInput: the file is damaged.
+    """
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=BeatState)
+    except FileNotFoundError:
+        return _from_photographs(run)
+    except (ValueError, OSError) as problem:
+        raise BadInput(
+            f"{file}: damaged ({problem}); remove it: numbers then go on after the last photograph"
+        ) from problem
+
+
+def _from_photographs(run: RunFolder) -> BeatState | None:
+    numbers = [int(m[0]) for p in run.frames.glob("*.jpg") if (m := re.match(r"\d{1,12}", p.name))]
+    rows = run.read_frames() if run.frames_csv.exists() else []
+    if not numbers and not rows:
+        return None
+    return recovered(run_name(run), last_tick=max(numbers, default=0), last_time_s=rows[-1].time_s if rows else None)
+
+
+def run_name(run: RunFolder) -> str:
+    """The run folder's own name, where ``run_dir`` is a link to it."""
+    return run.path.resolve().name
+
+
+def build(app: App[FlashSection]) -> None:
+    interval_s = app.run.read_run_file().interval_s
+    now = Reading(app.clock.mono_ns(), app.clock.utc_ns(), boot_id())
+    state = read_state(app.state_dir / STATE_FILE, app.run)
+    is_virtual = app.rig.clock.kind == "twin"
+    beat = Beat(interval_s, run=run_name(app.run), state=state, now=now, box_time=is_virtual)
+    lamp = open_lamp(app.rig, app.config)
+    lamp.switch(False)
+    FlashService(app, lamp, beat, boot_id=now.boot_id)
+
+
+def make_clock(rig: RigSection) -> Clock:
+    """The beat is what moves the virtual grow box's time on."""
+    return leader_clock(TwinLink(rig.clock.twin)) if rig.clock.kind == "twin" else default_clock(rig)
+
+
+def dark(rig: RigSection, config: FlashSection) -> None:
+    """One shot: the lamp off, for systemd when the service has died."""
+    lamp = open_lamp(rig, config)
+    lamp.switch(False)
+    lamp.close()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run_service(
+        "flora-flash",
+        FlashSection,
+        build,
+        argv=argv,
+        description="The beat: starts a tick, lights the flash, goes dark after the photograph.",
+        actions=[Action("--dark", "switch the flash lamp off and end", dark)],
+        make_clock=make_clock,
+    )

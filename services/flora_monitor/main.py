@@ -1,0 +1,401 @@
+"""flora-monitor: look at the bus, record it, play it again."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.live import Live
+
+from flora_common.cli import run_typer, version_line
+from flora_common.clock import SystemClock
+from flora_common.config import RigSection, load_config
+from flora_common.errors import BadInput, BadRunFolder, ConfigError
+from flora_common.messages import Health
+from flora_common.recording import RecordingWriter
+from flora_common.recording_reader import RecordingReader
+from flora_common.runs import RunFolder
+from flora_common.toml_strict import convert
+from flora_monitor import show, tape
+from flora_monitor.health import HealthBoard, services_of_catalogue
+from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener
+from flora_monitor.stats import Board, matches, topic_lines
+
+DEFAULT_TICK_S: Final = 300.0
+RECORD_FLUSH_S: Final = 5.0
+
+app = typer.Typer(
+    name=PROGRAM,
+    help="Look at the bus of a rig, record it, play it again.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+class MonitorSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[monitor]``: which services ``health`` wants to see."""
+
+    services: tuple[Annotated[str, msgspec.Meta(pattern=r"^flora-[a-z]+$", max_length=64)], ...] = (
+        services_of_catalogue()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """Options of every command."""
+
+    rig: RigSection
+    section: MonitorSection
+    only_rig: str | None
+    as_json: bool
+
+    @property
+    def is_lock_step(self) -> bool:
+        """Rig time is the grow box's, not this machine's."""
+        return self.rig.clock.kind == "twin"
+
+    @property
+    def is_this_machine(self) -> bool:
+        """The times in messages are of this machine's own clock."""
+        near = ("ipc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
+        return not self.is_lock_step and self.rig.bus_subscribe.startswith(near)
+
+    def tick_s(self, interval_s: float | None) -> float:
+        if interval_s is not None:
+            return interval_s
+        try:
+            return RunFolder(Path(self.rig.run_dir)).read_run_file().interval_s
+        except BadRunFolder:
+            return DEFAULT_TICK_S
+
+    def board(self, interval_s: float | None = None) -> Board:
+        return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
+
+    def listener(self, pattern: str = "*") -> Listener:
+        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern)
+
+
+Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone")]
+Rig = Annotated[str | None, typer.Option("--rig", help="this rig only", metavar="NAME")]
+Config = Annotated[Path | None, typer.Option("--config", help="the rig's TOML file", metavar="FILE")]
+Publish = Annotated[str | None, typer.Option("--publish", help="where the bus hears", metavar="ENDPOINT")]
+Subscribe = Annotated[str | None, typer.Option("--subscribe", help="where the bus says", metavar="ENDPOINT")]
+Json = Annotated[bool, typer.Option("--json", help="one JSON object a line; also when piped")]
+Count = Annotated[int | None, typer.Option("--count", min=1, help="end after this many messages")]
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="end after this many seconds")]
+Interval = Annotated[float | None, typer.Option("--interval", min=0.001, help="seconds between ticks")]
+
+
+def _common(
+    config: Path | None, rig: str | None, publish: str | None, subscribe: str | None, *, as_json: bool
+) -> Common:
+    found, section = load_config(config, "monitor", MonitorSection)
+    for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
+        if value is not None:
+            convert({key: value}, RigSection, where=flag, error=ConfigError)
+            found = msgspec.structs.replace(found, **{key: value})
+    if rig is not None:
+        tape.refuse_bad_rig(rig)
+    return Common(found, section, rig, as_json or not sys.stdout.isatty())
+
+
+def _until(batches: Iterator[Batch], seconds: float | None, began_s: float) -> Iterator[Batch]:
+    for batch in batches:
+        yield batch
+        if seconds is not None and batch.real_s - began_s >= seconds:
+            return
+
+
+@contextmanager
+def _summed_up(summary: Callable[[], str]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the work; whatever ends it, one line says what was done."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print(f"{PROGRAM}: {summary()}", file=sys.stderr, flush=True)
+
+
+def _said(board: Board, began_s: float) -> str:
+    took_s = time.monotonic() - began_s
+    return f"{board.messages} messages, {board.lost} lost, {board.bad} bad, {board.repeated} repeated in {took_s:.1f} s"
+
+
+@app.command()
+def tail(
+    pattern: Pattern = "*",
+    rig: Rig = None,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+    as_json: Json = False,
+    count: Count = None,
+    seconds: Seconds = None,
+) -> None:
+    """Every message as it comes: one line each, with the time since the one before on its topic."""
+    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    console = Console(highlight=False, soft_wrap=False)
+    shown = 0
+    with _summed_up(lambda: _said(board, began_s)):
+        for batch in _until(listener.batches(), seconds, began_s):
+            for arrival in batch.arrivals:
+                since_s = board.hear(arrival, batch.real_s)
+                if arrival.verdict == "repeated":
+                    continue
+                if common.as_json:
+                    print(show.line_for_programs(arrival), flush=True)
+                else:
+                    console.print(show.line_for_terminal(arrival, since_s), crop=True)
+                shown += 1
+                if shown == count:
+                    return
+
+
+@app.command()
+def rates(
+    pattern: Pattern = "*",
+    rig: Rig = None,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+    as_json: Json = False,
+    count: Count = None,
+    seconds: Seconds = None,
+    interval: Interval = None,
+) -> None:
+    """How often each topic comes, how evenly, what is missing; red when late."""
+    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    board, listener, began_s = common.board(interval), common.listener(pattern), time.monotonic()
+
+    def heard() -> Iterator[Batch]:
+        for batch in _until(listener.batches(), seconds, began_s):
+            for arrival in batch.arrivals:
+                board.hear(arrival, batch.real_s)
+            yield batch
+            if count is not None and board.messages >= count:
+                return
+
+    with _summed_up(lambda: _said(board, began_s)):
+        if common.as_json:
+            told_s = began_s
+            for batch in heard():
+                if batch.real_s - told_s >= 1.0 and seconds is None and count is None:
+                    told_s = batch.real_s
+                    _print_lines(board.rows(batch.real_s))
+            _print_lines(board.rows(time.monotonic()))
+        else:
+            with Live(console=Console(), refresh_per_second=4) as live:
+                for batch in heard():
+                    live.update(show.rates_table(board.rows(batch.real_s)))
+
+
+def _print_lines(items: Sequence[Any]) -> None:
+    if items:
+        print(show.json_lines(items), flush=True)
+
+
+@app.command()
+def topics(
+    pattern: Pattern = "*",
+    rig: Rig = None,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+    as_json: Json = False,
+    seconds: Seconds = None,
+) -> None:
+    """The catalogue, and what of it has been heard: the bus tells what it keeps at once."""
+    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    with _summed_up(lambda: _said(board, began_s)):
+        for batch in _until(listener.batches(every_s=0.05), seconds, began_s):
+            for arrival in batch.arrivals:
+                board.hear(arrival, batch.real_s)
+            if seconds is None and (batch.is_live or listener.waited_s > NO_BUS_AFTER_S + 0.2):
+                break
+    lines = topic_lines(board.rows(time.monotonic()), pattern, common.only_rig)
+    if common.as_json:
+        _print_lines(lines)
+    else:
+        Console().print(show.topics_table(lines))
+
+
+@app.command()
+def health(
+    pattern: Annotated[str, typer.Argument(help="glob on the services' names")] = "*",
+    rig: Rig = None,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+    as_json: Json = False,
+    seconds: Seconds = None,
+) -> None:
+    """How each service is; status 1 when one is not ready, silent or was never heard."""
+    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    period_s = common.rig.health_every_s
+    listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health")
+    clock = SystemClock()
+    expected = [name for name in common.section.services if matches(pattern, name)]
+    board = HealthBoard(expected, period_s=period_s, ages_are_known=common.is_this_machine)
+    limit_s = 2.5 * period_s if seconds is None else seconds
+    answered_s: float | None = None
+    for batch in listener.batches(every_s=0.05):
+        for arrival in batch.arrivals:
+            if isinstance(arrival.message, Health) and matches(pattern, arrival.message.source):
+                board.hear(arrival.message, real_s=batch.real_s, is_live=batch.is_live)
+        if not listener.connected:
+            if listener.waited_s > NO_BUS_AFTER_S + 0.2:
+                raise typer.Exit(1)
+            continue
+        answered_s = batch.real_s if answered_s is None else answered_s
+        is_over = batch.real_s - answered_s >= limit_s
+        if is_over or (seconds is None and batch.is_live and board.is_decided):
+            break
+    lines = board.lines(real_s=time.monotonic(), mono_ns=clock.mono_ns())
+    if common.as_json:
+        _print_lines(lines)
+    else:
+        Console().print(show.health_table(lines))
+    if not all(line.ok for line in lines):
+        raise typer.Exit(1)
+
+
+@app.command()
+def record(
+    file: Annotated[Path, typer.Argument(help="a new .mcap file")],
+    pattern: Pattern = "*",
+    rig: Rig = None,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+    count: Count = None,
+    seconds: Seconds = None,
+) -> None:
+    """Record what comes to FILE; it is called FILE.open until the end."""
+    if file.suffix != ".mcap":
+        raise BadInput(f"{file}: a recording's name ends in .mcap")
+    common = _common(config, rig, publish, subscribe, as_json=False)
+    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    clock = SystemClock()
+    writer = RecordingWriter(file, metadata={"rig": rig or "all"})
+
+    def summary() -> str:
+        return f"{file}: {writer.messages} recorded, {writer.bytes} bytes; " + _said(board, began_s)
+
+    def take() -> None:
+        flushed_s = began_s
+        for batch in _until(listener.batches(), seconds, began_s):
+            for arrival in batch.arrivals:
+                board.hear(arrival, batch.real_s)
+                writer.add(arrival, utc_ns=clock.utc_ns(), rig=rig or "")
+                if writer.messages == count:
+                    return
+            if batch.real_s - flushed_s >= RECORD_FLUSH_S or writer.wants_flush:
+                flushed_s = batch.real_s
+                writer.flush()
+
+    with _summed_up(summary):
+        try:
+            take()
+        finally:
+            writer.close()
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="a recording")],
+    only: Annotated[str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded")] = "*",
+    rate: Annotated[float, typer.Option("--rate", min=0.001, help="recorded seconds per second")] = 1.0,
+    as_fast: Annotated[bool, typer.Option("--as-fast", help="without waiting")] = False,
+    rig: Annotated[str | None, typer.Option("--rig", help="say it as this rig", metavar="NEW")] = None,
+    force: Annotated[bool, typer.Option("--force", help="even where services of that rig are alive")] = False,
+    config: Config = None,
+    publish: Publish = None,
+    subscribe: Subscribe = None,
+) -> None:
+    """Say recorded messages again, with the bytes, sequence numbers and times that were recorded."""
+    common = _common(config, rig, publish, subscribe, as_json=False)
+    reader = RecordingReader(file)
+    player = tape.Player(common.rig.bus, rig=rig, only=only)
+    played = tape.Played()
+    try:
+        if not force:
+            _refuse_live_rig(common, {rig} if rig else _rigs_in(file, only))
+        with _summed_up(lambda: _played(file, played)):
+            player.play(reader, played, rate=None if as_fast else rate)
+    finally:
+        player.close()
+    if played.problem:
+        raise typer.Exit(1)
+
+
+def _played(file: Path, played: tape.Played) -> str:
+    text = f"{file}: {played.sent} messages said again"
+    if played.left_out:
+        text += f", {played.left_out} left out"
+    if played.unreadable:
+        text += f", {played.unreadable} that were unreadable when recorded are not said again"
+    return text + (f"; {played.problem}" if played.problem else "")
+
+
+def _rigs_in(file: Path, only: str) -> set[str]:
+    return {r.topic.partition("/")[0] for r in RecordingReader(file) if matches(only, r.topic)}
+
+
+def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
+    """A recorded `light` would drive the lamps of a rig that runs."""
+    listener = Listener(common.rig, pattern="health")
+    try:
+        for batch in listener.batches(every_s=0.05):
+            for arrival in batch.arrivals:
+                alive = arrival.message
+                if arrival.rig in rigs and isinstance(alive, Health) and alive.source != "flora-bus":
+                    raise BadInput(
+                        f"{alive.source} of rig `{arrival.rig}` is on this bus and would take the recording for real; "
+                        "use --rig NEW, or --force"
+                    )
+            if listener.connected or listener.waited_s > NO_BUS_AFTER_S:
+                return
+    finally:
+        listener.close()
+
+
+@app.command()
+def check(file: Annotated[Path, typer.Argument(help="a recording")], as_json: Json = False) -> None:
+    """Read a recording back from end to end; status 1 when it is cut or damaged."""
+    checked = tape.check(file)
+    if as_json or not sys.stdout.isatty():
+        print(tape.to_json(checked))
+    else:
+        for line in tape.check_lines(checked):
+            print(line)
+        whole = checked.problem or "whole"
+        print(f"{file}: {checked.messages} messages over {checked.span_s:.1f} s; {whole}")
+    if checked.problem:
+        raise typer.Exit(1)
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="print the version and end")] = False,
+) -> None:
+    if version:
+        print(version_line(PROGRAM))
+        raise typer.Exit
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    return run_typer(PROGRAM, lambda: app, argv)

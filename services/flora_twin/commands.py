@@ -1,0 +1,107 @@
+"""The commands of ``flora-twin`` that need no other service: ``serve``, ``picture``, ``grow`` and ``faults``."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from flora_common import files
+from flora_common.errors import BadInput
+from flora_common.runs import LIGHTS, TRACK_HEADER, track_line
+from flora_common.suggest import did_you_mean
+from flora_twin import faults as menu
+from flora_twin.grow import LEVELS, grow, parse_schedule
+from flora_twin.server import WorldServer, only_one, parse_start, serve
+from flora_twin.strips import LampLight, strip_bytes
+from flora_twin.world import World
+
+Seed = Annotated[int, typer.Option(help="The individual plant and all chance; a whole number from 0.")]
+
+LAMP_COLOUR = LampLight(0.35, 0.45, 1.0)
+"""Bluish white, as in photographs of such rigs."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands to an application."""
+    app.command("serve")(serve_world)
+    app.command("picture")(picture)
+    app.command("grow")(grow_track)
+    app.command("faults")(list_faults)
+
+
+def serve_world(
+    address: Annotated[str, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/world.")],
+    state_dir: Annotated[Path, typer.Option(help="Folder for checkpoint and truth.jsonl.")],
+    seed: Seed = 1,
+    rate: Annotated[float, typer.Option(help="0: lock-step. Else times real time.")] = 0.0,
+    start: Annotated[str, typer.Option(help="UTC at time 0, ISO 8601; the present where missing.")] = "",
+    planted: Annotated[bool, typer.Option("--planted/--empty", help="Whether the plant is there at first.")] = True,
+) -> None:
+    """Serve the virtual grow box until SIGTERM; goes on where it was when STATE_DIR holds a checkpoint."""
+    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+    cv2.setNumThreads(1)  # the other services need the other cores
+    start_utc_ns = parse_start(start) if start else time.time_ns()
+    with only_one(state_dir):
+        world = World(seed, planted=planted)
+        server = WorldServer(world, state_dir, start_utc_ns=start_utc_ns, rate=rate, monotonic_s=time.monotonic)
+        serve(server, address)
+
+
+def picture(
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write: .jpg or .png.")],
+    seed: Seed = 1,
+    hours: Annotated[float, typer.Option(help="Age of the plant.")] = 48.0,
+    light: Annotated[str, typer.Option(help="Lamp in the picture: left, right, dark or both.")] = "left",
+    schedule: Annotated[str, typer.Option(help="Light before: `6h`, or `right 37h, left`; LIGHT where missing.")] = "",
+    flash: Annotated[bool, typer.Option("--flash/--no-flash")] = True,
+    empty: Annotated[bool, typer.Option("--empty", help="The setup without a plant.")] = False,
+) -> None:
+    """Take one photograph of a plant that grew under a light schedule."""
+    if output.suffix.lower() not in {".jpg", ".jpeg", ".png"}:
+        raise BadInput(f"{output}: a picture ends in .jpg or .png")
+    if not 0.0 <= hours <= 400.0:
+        raise BadInput(f"hours is {hours:g}; it must lie in [0, 400]")
+    lamps = {
+        name: strip_bytes(*(LAMP_COLOUR if level else LampLight() for level in levels))
+        for name, levels in LEVELS.items()
+    }
+    if light not in LIGHTS:
+        raise BadInput(f"light `{light}` does not exist{did_you_mean(light, LIGHTS)}")
+    before = parse_schedule(schedule or light)
+    world = World(seed, planted=not empty)
+    while world.time_s < hours * 3600.0 - 1e-6:
+        world.set_strips(lamps[before(world.time_s)])
+        world.advance_to(min(world.time_s + 100.0, hours * 3600.0))
+    world.set_strips(lamps[next(known for known in LIGHTS if known == light)])
+    world.set_flash(flash)
+    jpeg, _ = world.photograph(20_000.0)
+    if output.suffix.lower() == ".png":
+        _, data = cv2.imencode(".png", np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)))
+        files.write_bytes(output, data.tobytes())
+    else:
+        files.write_bytes(output, jpeg)
+
+
+def grow_track(
+    output: Annotated[Path, typer.Option("-o", "--output", help="track.csv to write.")],
+    seed: Seed = 1,
+    hours: Annotated[float, typer.Option(help="Length of the run.")] = 72.0,
+    schedule: Annotated[str, typer.Option(help="`6h` alternates; or a list such as `right 37h, left`.")] = "6h",
+) -> None:
+    """Grow a plant without pictures and write its track."""
+    track = grow(seed, schedule, hours)
+    rows = zip(track.time_s, track.light, track.points_cm, strict=True)
+    lines = [TRACK_HEADER, *(track_line(float(time_s), light, points) for time_s, light, points in rows)]
+    files.write_text(output, "\n".join(lines) + "\n")
+
+
+def list_faults() -> None:
+    """Print the fault menu."""
+    for fault in menu.MENU.values():
+        typer.echo(f"{fault.name:<20}{fault.layer:<7}{fault.description}")

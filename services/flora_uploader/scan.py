@@ -1,0 +1,129 @@
+"""Looking through the spool: which run folders there are, which files of record are in them, what the camera wrote."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from flora_common.errors import StoreError
+from flora_uploader.ledger import Found
+from flora_uploader.policy import is_of_record, is_photograph, kind_of
+
+BATCH: Final = 200
+"""Files looked at before control is given back."""
+
+MAX_DEPTH: Final = 8
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+class SpoolUnreadable(StoreError):
+    """A folder of the spool cannot be listed."""
+
+
+class _FrameLine(msgspec.Struct):
+    path: str = ""
+    file: str = ""
+    sha256: str = ""
+
+
+_FRAME_LINE: Final = msgspec.json.Decoder(_FrameLine)
+
+
+def is_run_folder(path: Path) -> bool:
+    """Whether a folder has a ``run.toml``."""
+    return (path / "run.toml").is_file()
+
+
+def run_folders(runs_dir: Path, run_dir: Path) -> dict[str, Path]:
+    """Every run folder of the spool by name, the rig's present one included. Links count under what they lead to."""
+    candidates = [run_dir]
+    try:
+        with os.scandir(runs_dir) as entries:
+            candidates += [Path(entry.path) for entry in entries if is_of_record(entry.name)]
+    except FileNotFoundError:
+        pass  # nothing has run yet
+    except OSError as problem:
+        raise SpoolUnreadable(f"{runs_dir}: the spool cannot be listed ({problem.strerror})") from problem
+    resolved = {path.resolve() for path in candidates}
+    return {path.name: path for path in sorted(resolved) if is_run_folder(path)}
+
+
+def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
+    """The files of a run folder in batches. Links, pipes and the like are left out: they are nobody's record.
+
+    Args:
+        run: the run folder.
+        unnameable: filled with files whose names are not UTF-8 text and cannot be told to anybody.
+    """
+    batch: list[Found] = []
+    folders = [("", 0)]
+    while folders:
+        inner, depth = folders.pop()
+        try:
+            with os.scandir(run / inner) as entries:
+                for entry in entries:
+                    if not is_of_record(entry.name):
+                        continue
+                    path = f"{inner}/{entry.name}" if inner else entry.name
+                    if not _is_text(path):
+                        unnameable.append(repr(path))
+                    elif entry.is_dir(follow_symlinks=False):
+                        if depth < MAX_DEPTH:
+                            folders.append((path, depth + 1))
+                    elif entry.is_file(follow_symlinks=False):
+                        found = look_at(run, path)
+                        if found is not None:
+                            batch.append(found)
+                    if len(batch) >= BATCH:
+                        yield batch
+                        batch = []
+        except FileNotFoundError:
+            continue  # taken away while we looked
+        except OSError as problem:
+            raise SpoolUnreadable(f"{run / inner}: the spool cannot be listed ({problem.strerror})") from problem
+    yield batch
+
+
+def look_at(run: Path, path: str) -> Found | None:
+    """One file as it is now; None where there is none."""
+    try:
+        status = os.stat(run / path, follow_symlinks=False)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return Found(path, kind_of(path), status.st_size, status.st_mtime_ns)
+
+
+def announced_hashes(frames_log: Path) -> dict[str, str]:
+    """SHA-256 by path of every photograph in ``frames.jsonl``; the last line of a path counts.
+
+    Lines that are not whole are left out: a power cut may tear the last one.
+    """
+    try:
+        data = frames_log.read_bytes()
+    except FileNotFoundError:
+        return {}
+    except OSError as problem:
+        raise SpoolUnreadable(f"{frames_log}: cannot be read ({problem.strerror})") from problem
+    hashes: dict[str, str] = {}
+    for line in data.splitlines():
+        try:
+            frame = _FRAME_LINE.decode(line)
+        except (ValueError, RecursionError):
+            continue
+        path = frame.path or frame.file
+        if path and is_photograph(path) and _SHA256.fullmatch(frame.sha256):
+            hashes[path] = frame.sha256
+    return hashes
+
+
+def _is_text(name: str) -> bool:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

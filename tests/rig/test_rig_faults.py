@@ -1,0 +1,151 @@
+"""The fault menu: each fault strikes a running virtual rig, is told, does no harm, and passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+
+from flora_common.errors import BadInput, FloraError
+from flora_twin.faults import MENU
+from flora_twin.rig import faults
+from flora_twin.rig.faults import FaultSchedule, parse_fault
+from flora_twin.rig.integrity import check_run
+from flora_twin.rig.virtual_rig import VirtualRig
+
+
+@pytest.fixture
+def running(virtual_rig: Callable[..., VirtualRig]) -> VirtualRig:
+    rig = virtual_rig(seed=5, capture={"hang_timeout_s": 2.0}, uploader={"table_every_s": 5.0})
+    rig.start()
+    rig.calibrate()
+    go_on(rig, 2)
+    return rig
+
+
+def go_on(rig: VirtualRig, ticks: int) -> None:
+    """Let so many more ticks end with confirmed lamps."""
+    goal = (rig.seen.tick.tick if rig.seen.tick else 0) + ticks
+    rig.run(lambda seen: seen.lamps is not None and seen.lamps.tick >= goal and seen.lamps.setup_step == 0)
+
+
+def finish_whole(rig: VirtualRig) -> None:
+    rig.finish()
+    integrity = check_run(rig.layout.run, rig.layout.nas / rig.layout.run.path.name)
+    assert integrity.whole, integrity
+    assert integrity.announced > 0
+
+
+def test_a_hung_camera_is_killed_and_told_and_the_beat_goes_on(running: VirtualRig) -> None:
+    with faults.fault(running, "camera_hangs"):
+        go_on(running, 1)
+    assert [missed.because for missed in running.seen.missed] == ["camera_hung"]
+    assert running.seen.outcomes["no_frame"] == 1
+    before = len(running.seen.frames)
+    go_on(running, 3)
+    assert len(running.seen.frames) >= before + 2
+    finish_whole(running)
+
+
+def test_torn_pictures_never_become_stems_or_files(running: VirtualRig) -> None:
+    before = len(running.seen.frames)
+    with faults.fault(running, "torn_jpeg"):
+        go_on(running, 2)
+    assert {missed.because for missed in running.seen.missed} == {"bad_picture"}
+    assert len(running.seen.frames) == before
+    go_on(running, 2)
+    assert len(running.seen.frames) > before
+    finish_whole(running)
+
+
+def test_a_dead_flash_is_told_and_the_photograph_is_marked(running: VirtualRig) -> None:
+    with faults.fault(running, "flash_dead"):
+        go_on(running, 2)
+        assert running.seen.frames[-1].flash_confirmed is False
+    go_on(running, 2)
+    assert running.seen.frames[-1].flash_confirmed is True
+    finish_whole(running)
+
+
+def test_a_lost_lamp_command_is_made_good_by_the_next(running: VirtualRig) -> None:
+    with faults.fault(running, "lamp_command_lost"):
+        go_on(running, 2)
+    go_on(running, 2)
+    finish_whole(running)
+
+
+def test_a_jumping_wall_clock_keeps_beat_and_order(running: VirtualRig) -> None:
+    with faults.fault(running, "clock_jumps", "-31536000"):
+        go_on(running, 3)
+    go_on(running, 2)
+    rows = running.layout.run.read_frames()
+    assert all(b.time_s - a.time_s == pytest.approx(300.0, abs=1.0) for a, b in pairwise(rows))
+    finish_whole(running)
+
+
+def test_the_bus_comes_back(running: VirtualRig) -> None:
+    with faults.fault(running, "bus_restarted"):
+        go_on(running, 4)
+    assert running.restarts() == {"flora-bus": 1}
+    finish_whole(running)
+
+
+@pytest.mark.parametrize("name", ["nas_gone", "nas_read_only"])
+def test_nothing_is_lost_without_the_nas(running: VirtualRig, name: str) -> None:
+    try:
+        faults.begin(running, name)
+    except FloraError as problem:
+        pytest.skip(str(problem))
+    try:
+        go_on(running, 4)
+        running.run(lambda seen: seen.health["flora-uploader"].state == "degraded")
+    finally:
+        faults.end(running, name)
+    go_on(running, 2)
+    finish_whole(running)
+
+
+def test_a_schedule_of_faults_strikes_and_passes(virtual_rig: Callable[..., VirtualRig]) -> None:
+    rig = virtual_rig(seed=6)
+    rig.start()
+    rig.calibrate()
+    plan = [parse_fault("flash_dead@0.2h:0.2h"), parse_fault("service_killed@0.3h=flora-stem")]
+    schedule = FaultSchedule(rig, plan)
+    rig.run(lambda seen: seen.tick is not None and seen.tick.time_s >= 0.75 * 3600, each=schedule)
+    schedule.end_all()
+    assert rig.restarts() == {"flora-stem": 1}
+    confirmed = [frame.flash_confirmed for frame in rig.seen.frames if frame.purpose == "run"]
+    assert False in confirmed
+    assert confirmed[-1] is True
+    finish_whole(rig)
+
+
+def test_the_whole_menu_is_tried_here() -> None:
+    tried = {
+        *("camera_hangs", "torn_jpeg", "flash_dead", "lamp_command_lost", "clock_jumps"),
+        *("bus_restarted", "service_killed", "nas_gone", "nas_read_only"),
+    }
+    assert set(MENU) == tried
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("nas_gone", "write NAME@HOUR"),
+        ("nas_gon@3h", "did you mean `nas_gone`?"),
+        ("service_killed@3h", "name a service"),
+        ("nas_gone@minus", "write NAME@HOUR"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_told_in_one_line(text: str, sentence: str) -> None:
+    with pytest.raises(BadInput) as told:
+        parse_fault(text)
+    assert sentence in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_faults_are_read_as_written() -> None:
+    planned = parse_fault("nas_gone@30h:6.5h")
+    assert (planned.name, planned.at_h, planned.for_h) == ("nas_gone", 30.0, 6.5)
+    assert parse_fault("service_killed@12=flora-led").argument == "flora-led"
