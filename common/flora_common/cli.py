@@ -67,3 +67,15 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
         return result if isinstance(result, int) else 0
 
     return run_cli(program, work)
+
+
+def print_version(program: str) -> Callable[[bool], None]:
+    """The callback of a Typer command's ``--version``."""
+    import typer  # noqa: PLC0415 - see run_typer
+
+    def callback(wanted: bool) -> None:
+        if wanted:
+            print(version_line(program))
+            raise typer.Exit
+
+    return callback

@@ -46,11 +46,11 @@ class TipFollowerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 class WaypointSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[controller.waypoint]``."""
 
-    rise_cm: Cm = 1.4
+    rise_cm: Cm = 0.8
     """The tip turns to the target when it is this far above the obstacle."""
-    guard_cm: Cm = 1.5
+    guard_cm: Cm = 1.2
     """A stem nearer to the obstacle than this is steered away, whatever the target wants."""
-    release_cm: Cm = 2.0
+    release_cm: Cm = 1.7
     """… until it is this far away again."""
     deadband_cm: Cm = 0.5
 

@@ -24,12 +24,13 @@ RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 
 
 class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[flash]``. Time-outs are real seconds: they guard devices."""
+    """``[flash]``. Time-outs are real seconds: they guard devices. ``twin`` is that of ``[rig.clock]`` unless stated."""
 
     backend: Literal["gpio", "virtual", "none"] = "gpio"
     chip: str = "/dev/gpiochip0"
     line: Annotated[int, msgspec.Meta(ge=0, le=1023)] = 17
     active_low: bool = False
+    twin: str = ""
     frame_timeout_s: RealSeconds = 45.0
     answer_timeout_s: RealSeconds = 60.0
     wait_for_background: bool = False

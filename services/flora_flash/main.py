@@ -31,7 +31,7 @@ def open_lamp(rig: RigSection, config: FlashSection) -> Lamp:
     if config.backend == "virtual":
         from flora_flash.backends.virtual import VirtualLamp  # noqa: PLC0415
 
-        return VirtualLamp(rig.clock.twin)
+        return VirtualLamp(config.twin or rig.clock.twin)
     return NoLamp()
 
 

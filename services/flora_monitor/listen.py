@@ -41,9 +41,12 @@ class Listener:
         rig: where the bus is.
         only_rig: hear this rig alone; None for all.
         pattern: glob on ``<rig>/<kind>`` or kind.
+        is_patient: the command waits for a bus that is not there.
     """
 
-    def __init__(self, rig: RigSection, *, only_rig: str | None = None, pattern: str = "*") -> None:
+    def __init__(
+        self, rig: RigSection, *, only_rig: str | None = None, pattern: str = "*", is_patient: bool = True
+    ) -> None:
         self.client = BusClient(rig.bus, rig=only_rig or rig.name, source=PROGRAM, clock=SystemClock())
         self.client.subscribe_prefixes(f"{only_rig}/".encode() if only_rig else b"")
         self._address = rig.bus_subscribe
@@ -53,6 +56,7 @@ class Listener:
         self._poller.register(self.client.publisher, zmq.POLLIN)
         self._began_s = time.monotonic()
         self._has_warned = False
+        self._is_patient = is_patient
         self.client.connect()
 
     @property
@@ -74,7 +78,10 @@ class Listener:
             arrivals = [a for a in self.client.receive_all() if matches(self._pattern, topic_text(a))]
             if not self.connected and not self._has_warned and self.waited_s >= NO_BUS_AFTER_S:
                 self._has_warned = True
-                self.warn(f"no bus answers at {self._address}; waiting for it")
+                self.warn(
+                    f"no bus answers at {self._address}; "
+                    + ("waiting for it" if self._is_patient else "is flora-bus running?")
+                )
             yield Batch(arrivals, was_connected, time.monotonic())
 
     def warn(self, text: str) -> None:

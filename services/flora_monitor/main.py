@@ -7,30 +7,37 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.live import Live
 
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
-from flora_common.config import RigSection, load_config
-from flora_common.errors import BadInput, BadRunFolder, ConfigError
+from flora_common.errors import BadInput
 from flora_common.messages import Health
 from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
-from flora_common.runs import RunFolder
-from flora_common.toml_strict import convert
 from flora_monitor import show, tape
-from flora_monitor.health import HealthBoard, services_of_catalogue
+from flora_monitor.health import HealthBoard
 from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener
+from flora_monitor.options import (
+    Common,
+    Config,
+    Count,
+    Interval,
+    Json,
+    Pattern,
+    Publish,
+    Rig,
+    Seconds,
+    Subscribe,
+    common_options,
+)
 from flora_monitor.stats import Board, matches, topic_lines
 
-DEFAULT_TICK_S: Final = 300.0
 RECORD_FLUSH_S: Final = 5.0
 
 app = typer.Typer(
@@ -41,73 +48,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-
-class MonitorSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[monitor]``: which services ``health`` wants to see."""
-
-    services: tuple[Annotated[str, msgspec.Meta(pattern=r"^flora-[a-z]+$", max_length=64)], ...] = (
-        services_of_catalogue()
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Common:
-    """Options of every command."""
-
-    rig: RigSection
-    section: MonitorSection
-    only_rig: str | None
-    as_json: bool
-
-    @property
-    def is_lock_step(self) -> bool:
-        """Rig time is the grow box's, not this machine's."""
-        return self.rig.clock.kind == "twin"
-
-    @property
-    def is_this_machine(self) -> bool:
-        """The times in messages are of this machine's own clock."""
-        near = ("ipc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
-        return not self.is_lock_step and self.rig.bus_subscribe.startswith(near)
-
-    def tick_s(self, interval_s: float | None) -> float:
-        if interval_s is not None:
-            return interval_s
-        try:
-            return RunFolder(Path(self.rig.run_dir)).read_run_file().interval_s
-        except BadRunFolder:
-            return DEFAULT_TICK_S
-
-    def board(self, interval_s: float | None = None) -> Board:
-        return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
-
-    def listener(self, pattern: str = "*") -> Listener:
-        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern)
-
-
-Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone")]
-Rig = Annotated[str | None, typer.Option("--rig", help="this rig only", metavar="NAME")]
-Config = Annotated[Path | None, typer.Option("--config", help="the rig's TOML file", metavar="FILE")]
-Publish = Annotated[str | None, typer.Option("--publish", help="where the bus hears", metavar="ENDPOINT")]
-Subscribe = Annotated[str | None, typer.Option("--subscribe", help="where the bus says", metavar="ENDPOINT")]
-Json = Annotated[bool, typer.Option("--json", help="one JSON object a line; also when piped")]
-Count = Annotated[int | None, typer.Option("--count", min=1, help="end after this many messages")]
-Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="end after this many seconds")]
-Interval = Annotated[float | None, typer.Option("--interval", min=0.001, help="seconds between ticks")]
-
-
-def _common(
-    config: Path | None, rig: str | None, publish: str | None, subscribe: str | None, *, as_json: bool
-) -> Common:
-    found, section = load_config(config, "monitor", MonitorSection)
-    for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
-        if value is not None:
-            convert({key: value}, RigSection, where=flag, error=ConfigError)
-            found = msgspec.structs.replace(found, **{key: value})
-    if rig is not None:
-        tape.refuse_bad_rig(rig)
-    return Common(found, section, rig, as_json or not sys.stdout.isatty())
 
 
 def _until(batches: Iterator[Batch], seconds: float | None, began_s: float) -> Iterator[Batch]:
@@ -144,7 +84,7 @@ def tail(
     seconds: Seconds = None,
 ) -> None:
     """Every message as it comes: one line each, with the time since the one before on its topic."""
-    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    common = common_options(config, rig, publish, subscribe, as_json=as_json)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     console = Console(highlight=False, soft_wrap=False)
     shown = 0
@@ -157,7 +97,7 @@ def tail(
                 if common.as_json:
                     print(show.line_for_programs(arrival), flush=True)
                 else:
-                    console.print(show.line_for_terminal(arrival, since_s), crop=True)
+                    console.print(show.line_for_terminal(arrival, since_s), no_wrap=True, overflow="ellipsis")
                 shown += 1
                 if shown == count:
                     return
@@ -176,7 +116,7 @@ def rates(
     interval: Interval = None,
 ) -> None:
     """How often each topic comes, how evenly, what is missing; red when late."""
-    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    common = common_options(config, rig, publish, subscribe, as_json=as_json)
     board, listener, began_s = common.board(interval), common.listener(pattern), time.monotonic()
 
     def heard() -> Iterator[Batch]:
@@ -217,7 +157,7 @@ def topics(
     seconds: Seconds = None,
 ) -> None:
     """The catalogue, and what of it has been heard: the bus tells what it keeps at once."""
-    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    common = common_options(config, rig, publish, subscribe, as_json=as_json)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     with _summed_up(lambda: _said(board, began_s)):
         for batch in _until(listener.batches(every_s=0.05), seconds, began_s):
@@ -243,9 +183,9 @@ def health(
     seconds: Seconds = None,
 ) -> None:
     """How each service is; status 1 when one is not ready, silent or was never heard."""
-    common = _common(config, rig, publish, subscribe, as_json=as_json)
+    common = common_options(config, rig, publish, subscribe, as_json=as_json)
     period_s = common.rig.health_every_s
-    listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health")
+    listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health", is_patient=False)
     clock = SystemClock()
     expected = [name for name in common.section.services if matches(pattern, name)]
     board = HealthBoard(expected, period_s=period_s, ages_are_known=common.is_this_machine)
@@ -264,6 +204,7 @@ def health(
         if is_over or (seconds is None and batch.is_live and board.is_decided):
             break
     lines = board.lines(real_s=time.monotonic(), mono_ns=clock.mono_ns())
+    listener.close()
     if common.as_json:
         _print_lines(lines)
     else:
@@ -286,7 +227,7 @@ def record(
     """Record what comes to FILE; it is called FILE.open until the end."""
     if file.suffix != ".mcap":
         raise BadInput(f"{file}: a recording's name ends in .mcap")
-    common = _common(config, rig, publish, subscribe, as_json=False)
+    common = common_options(config, rig, publish, subscribe, as_json=False)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     clock = SystemClock()
     writer = RecordingWriter(file, metadata={"rig": rig or "all"})
@@ -326,7 +267,7 @@ def replay(
     subscribe: Subscribe = None,
 ) -> None:
     """Say recorded messages again, with the bytes, sequence numbers and times that were recorded."""
-    common = _common(config, rig, publish, subscribe, as_json=False)
+    common = common_options(config, rig, publish, subscribe, as_json=False)
     reader = RecordingReader(file)
     player = tape.Player(common.rig.bus, rig=rig, only=only)
     played = tape.Played()
@@ -356,7 +297,7 @@ def _rigs_in(file: Path, only: str) -> set[str]:
 
 def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
     """A recorded `light` would drive the lamps of a rig that runs."""
-    listener = Listener(common.rig, pattern="health")
+    listener = Listener(common.rig, pattern="health", is_patient=False)
     try:
         for batch in listener.batches(every_s=0.05):
             for arrival in batch.arrivals:

@@ -88,7 +88,7 @@ def line_for_terminal(arrival: Arrival, since_s: float | None) -> Text:
 
 
 def line_for_programs(arrival: Arrival) -> str:
-    """One JSON object: the topic and the message's fields; ``lost_before`` and ``bad`` only where there is something."""
+    """One JSON object: the topic and the message's fields; ``lost_before`` and ``bad`` only where that is so."""
     message = arrival.message
     shown: dict[str, Any] = {"topic": topic_text(arrival)}
     if message is None:
@@ -117,9 +117,9 @@ def _count(value: int) -> Text:
 def rates_table(rows: Iterable[Row]) -> Table:
     """Red rows are late."""
     table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("topic", no_wrap=True)
+    table.add_column("topic", overflow="fold")
     for name in ("count", "per s", "period s", "jitter s", "lost", "repeated", "bad", "age s"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         style = "bold red" if row.late else ""
         name = printable(f"{row.topic} {row.source}".rstrip())

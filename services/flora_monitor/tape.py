@@ -13,7 +13,7 @@ import zmq
 
 from flora_common.bus import HIGH_WATER_MARK, BusAddress, SequenceCheck
 from flora_common.clock import NS, unix_seconds
-from flora_common.errors import BadInput, BadMessage, BusUnreachable
+from flora_common.errors import BadMessage, BusUnreachable
 from flora_common.messages import decode, split_topic
 from flora_common.recording_reader import Recorded, RecordingReader
 from flora_monitor.stats import matches
@@ -47,7 +47,7 @@ class Player:
     def __init__(self, address: BusAddress, *, rig: str | None = None, only: str = "*") -> None:
         self._rig = rig
         self._only = only
-        self._socket = zmq.Context.instance().socket(zmq.XPUB)
+        self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.XPUB)
         # A full queue makes the sender wait: nothing of a recording is dropped on the way to the bus.
         self._socket.setsockopt(zmq.XPUB_NODROP, 1)
         self._socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
@@ -179,17 +179,6 @@ def check_lines(checked: Checked) -> Iterator[str]:
         topic = checked.topics[name]
         shown = name.encode("unicode_escape").decode()
         yield f"{shown:<28} {topic.messages:>9} {topic.lost:>6} {topic.repeated:>9} {topic.bad:>6}"
-
-
-def refuse_bad_rig(rig: str) -> None:
-    """
-    Raises:
-        BadInput: not a rig's name.
-    """
-    try:
-        split_topic(f"{rig}/tick".encode())
-    except BadMessage as problem:
-        raise BadInput(f"--rig {rig!r}: a rig's name is small letters, digits, - and _, 32 at most") from problem
 
 
 def to_json(checked: Checked) -> str:

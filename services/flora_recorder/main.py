@@ -21,7 +21,6 @@ def build(app: App[RecorderSection]) -> None:
         metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
     )
     is_recovered = False
-    is_troubled = False
 
     def recover_left_over() -> None:
         nonlocal is_recovered
@@ -31,23 +30,17 @@ def build(app: App[RecorderSection]) -> None:
         is_recovered = True
 
     def guarded(work: Callable[[], None]) -> None:
-        nonlocal is_troubled
         try:
             work()
         except StoreError as problem:
             # The reason must not change with every message: each change is a message itself.
-            is_troubled = True
-            app.state("degraded", f"not recording: {problem}")
+            app.trouble("disk", f"not recording: {problem}")
 
     def flush() -> None:
-        nonlocal is_troubled
         recorder.flush()
         if not is_recovered:
             recover_left_over()
-        if is_troubled:
-            is_troubled = False
-            app.log.warning("recording_again", lost=recorder.all_lost())
-            app.state("ready")
+        app.trouble("disk", "")
 
     def hear(arrival: Arrival) -> None:
         guarded(lambda: recorder.hear(arrival))

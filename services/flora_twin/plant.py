@@ -196,14 +196,18 @@ class Plants:
         self._length = self._length + share * scale[:, None]
 
     def _see(self, light_left: npt.ArrayLike, light_right: npt.ArrayLike, dt_s: float) -> FloatArray:
-        """Two stages of delay between lamp and response; returns shape (2, batch)."""
-        stage_s = 30.0 * self._p["photo_latency_min"]
-        gain = -np.expm1(-dt_s / stage_s)
+        """Two stages of delay between lamp and response; returns light that acts now, shape (2, batch).
+
+        The delay lies behind the logarithm of brightness: before it, the first trace of light would act at once.
+        """
+        half = self._p["light_half"]
+        full = np.log1p(1.0 / half)
+        gain = -np.expm1(-dt_s / (30.0 * self._p["photo_latency_min"]))
         light = np.empty((2, self.batch))
         light[0], light[1] = light_left, light_right
-        self._seen[0] += gain * (np.clip(light, 0.0, 4.0) - self._seen[0])
+        self._seen[0] += gain * (np.log1p(np.clip(light, 0.0, 4.0) / half) / full - self._seen[0])
         self._seen[1] += gain * (self._seen[0] - self._seen[1])
-        return np.asarray(self._seen[1], dtype=np.float64)
+        return np.asarray(half * np.expm1(self._seen[1] * full), dtype=np.float64)
 
     def _light(self, place: FloatArray, seen: FloatArray) -> FloatArray:
         """nu * S * direction of the light at every segment, shape (3, batch, n)."""

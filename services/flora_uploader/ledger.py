@@ -260,14 +260,26 @@ class Ledger:
                     return entry
         return None
 
+    def waiting_by_run(self) -> dict[str, int]:
+        """How many files wait, by run."""
+        with _told():
+            return dict(self._db.execute("SELECT run, count(*) FROM files WHERE state = 'waiting' GROUP BY run"))
+
     def get(self, run: str, path: str) -> Entry | None:
         """One file, or None."""
         return self._first("run = ? AND path = ?", (run, path), lambda _: True)
 
     # what has happened
 
-    def stored(self, entry: Entry, sha256: str, size: int, mtime_ns: int, now_ns: int) -> None:
-        """Verified at the target; durable when this returns. A spool file that has changed since then waits again."""
+    def stored(self, entry: Entry, sha256: str, size: int, mtime_ns: int, now_ns: int) -> bool:
+        """Verified at the target; durable when this returns. A spool file that has changed since then waits again.
+
+        Returns:
+            False where the camera has meanwhile announced another hash: the file then waits to be looked at again.
+        """
+        now = self.get(*entry.key)
+        if now is not None and now.kind == "once" and now.expected not in ("", sha256):
+            return False
         self._write(
             entry,
             "stored",
@@ -275,6 +287,7 @@ class Ledger:
             " reason = '' WHERE run = ? AND path = ?",
             (sha256, size, mtime_ns, now_ns, now_ns, *entry.key),
         )
+        return True
 
     def checked(self, entry: Entry, now_ns: int) -> None:
         """Read at the target, and good."""
@@ -289,6 +302,16 @@ class Ledger:
             "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?",
             (state, reason[:500], *entry.key),
         )
+
+    def mark_run_vanished(self, run: str, reason: str) -> None:
+        """All that waits in a run folder that is no longer there."""
+        with _told():
+            count = self._db.execute(
+                "UPDATE files SET state = 'vanished', reason = ? WHERE run = ? AND state = 'waiting'",
+                (reason[:500], run),
+            ).rowcount
+        self.counts["waiting"] -= count
+        self.counts["vanished"] += count
 
     def forget(self, entry: Entry) -> None:
         """A growing file that nobody has any more."""
@@ -335,7 +358,9 @@ def _told() -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as problem:
-        raise LedgerProblem(f"the ledger cannot be read or written ({problem}); uploading rests until it can") from problem
+        raise LedgerProblem(
+            f"the ledger cannot be read or written ({problem}); uploading rests until it can"
+        ) from problem
 
 
 def _lock(path: Path) -> IO[str]:

@@ -23,6 +23,8 @@ ALERT_STEPS: Final = (95, 80, 50)
 FIRST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 600.0
 SHORTEST_WAIT_S: Final = 0.05
+MOST_WAITS: Final = 10_000
+"""Files whose own waiting times are remembered; beyond that the oldest are simply tried again."""
 
 
 def is_of_record(name: str) -> bool:
@@ -68,6 +70,36 @@ class Backoff:
 
     def worked(self) -> None:
         self._failures = 0
+
+
+class Waits:
+    """Waiting times of single files after failures of their own, each with its own back-off.
+
+    Args:
+        uniform: as for :class:`Backoff`.
+    """
+
+    def __init__(self, uniform: Callable[[float, float], float] = random.uniform) -> None:
+        self._uniform = uniform
+        self._waits: dict[tuple[str, str], tuple[Backoff, float]] = {}
+
+    def begin(self, key: tuple[str, str], now_s: float) -> None:
+        """This file failed: leave it alone for a while."""
+        backoff, _ = self._waits.get(key, (Backoff(self._uniform), 0.0))
+        self._waits[key] = (backoff, now_s + backoff.failed())
+        while len(self._waits) > MOST_WAITS:
+            self._waits.pop(next(iter(self._waits)))
+
+    def is_over(self, key: tuple[str, str], now_s: float) -> bool:
+        """Whether the file may be tried."""
+        return key not in self._waits or now_s >= self._waits[key][1]
+
+    def forget(self, key: tuple[str, str]) -> None:
+        self._waits.pop(key, None)
+
+    def ends_after(self, now_s: float) -> list[float]:
+        """Times at which waits end that are not over yet."""
+        return [until_s for _, until_s in self._waits.values() if until_s > now_s]
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,9 @@ def may_be_freed(entry: Entry, now_ns: int) -> bool:
     )
 
 
-def free(entry: Entry, source: Path, destination: str, target: Target, now_ns: int) -> Generator[None, None, FreeResult]:
+def free(
+    entry: Entry, source: Path, destination: str, target: Target, now_ns: int
+) -> Generator[None, None, FreeResult]:
     """Delete one photograph from the spool if everything holds; the target is connected.
 
     Returns:
@@ -72,7 +74,7 @@ def free(entry: Entry, source: Path, destination: str, target: Target, now_ns: i
         return "not_at_target"
     # From here on there is no giving back of control: nothing can change between the last look and the deletion.
     try:
-        status = os.stat(source, follow_symlinks=False)
+        status = source.lstat()
     except (FileNotFoundError, NotADirectoryError):
         return "gone"
     except OSError as problem:

@@ -35,12 +35,19 @@ _FRAME_LINE: Final = msgspec.json.Decoder(_FrameLine)
 
 
 def is_run_folder(path: Path) -> bool:
-    """Whether a folder has a ``run.toml``."""
-    return (path / "run.toml").is_file()
+    """Whether a folder has a ``run.toml``. One that we may not look into is not ours."""
+    try:
+        return (path / "run.toml").is_file()
+    except PermissionError:
+        return False
 
 
-def run_folders(runs_dir: Path, run_dir: Path) -> dict[str, Path]:
-    """Every run folder of the spool by name, the rig's present one included. Links count under what they lead to."""
+def run_folders(runs_dir: Path, run_dir: Path) -> tuple[dict[str, Path], list[str]]:
+    """Every run folder of the spool, the rig's present one included. Links count under what they lead to.
+
+    Returns:
+        Folders by name, and those left out because another one has the name already.
+    """
     candidates = [run_dir]
     try:
         with os.scandir(runs_dir) as entries:
@@ -49,8 +56,21 @@ def run_folders(runs_dir: Path, run_dir: Path) -> dict[str, Path]:
         pass  # nothing has run yet
     except OSError as problem:
         raise SpoolUnreadable(f"{runs_dir}: the spool cannot be listed ({problem.strerror})") from problem
-    resolved = {path.resolve() for path in candidates}
-    return {path.name: path for path in sorted(resolved) if is_run_folder(path)}
+    runs: dict[str, Path] = {}
+    clashes: list[str] = []
+    for path in map(real_path, candidates):
+        if path in runs.values() or not is_run_folder(path):
+            continue
+        if path.name in runs:
+            clashes.append(f"{runs[path.name]} and {path}")
+        else:
+            runs[path.name] = path
+    return runs, clashes
+
+
+def real_path(path: Path) -> Path:
+    """Without links. ``Path.resolve`` would end in an error where links go in a circle."""
+    return Path(os.path.realpath(path))
 
 
 def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
@@ -89,12 +109,20 @@ def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
     yield batch
 
 
+def folders_of_record(run: Path) -> list[str]:
+    """Folders inside a run folder that hold files of record."""
+    found = {str(Path(file.path).parent) for batch in files_of_record(run, []) for file in batch}
+    return sorted(found - {"."})
+
+
 def look_at(run: Path, path: str) -> Found | None:
     """One file as it is now; None where there is none."""
     try:
-        status = os.stat(run / path, follow_symlinks=False)
+        status = (run / path).lstat()
     except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError as problem:
+        raise SpoolUnreadable(f"{run / path}: cannot be looked at ({problem.strerror})") from problem
     return Found(path, kind_of(path), status.st_size, status.st_mtime_ns)
 
 

@@ -219,7 +219,7 @@ class FolderTarget:
             except FileNotFoundError:
                 return []
             try:
-                return sorted(os.listdir(descriptor))
+                return sorted(os.listdir(descriptor))  # noqa: PTH208 - of an open folder, not of a path
             finally:
                 os.close(descriptor)
 

@@ -6,21 +6,21 @@ be called again; nothing here waits. All durable facts are in the ledger, so tha
 
 from __future__ import annotations
 
-import random
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
-from flora_common.errors import DiskFull, NasDamaged, NasRefused, NasUnreachable, StoreError
+from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
 from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
 from flora_uploader.ledger import Entry, Ledger, LedgerProblem
-from flora_uploader.policy import Backoff, disk_alert, is_of_record, is_photograph
+from flora_uploader.model import Event, Settings, Stage, Totals, World
+from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph
 from flora_uploader.target import Target
 from flora_uploader.transfer import (
     Order,
+    SourceChanged,
     SourceDamaged,
     SourceGone,
     SpoolIsTarget,
@@ -36,77 +36,11 @@ SCAN_ALL_EVERY_S: Final = 3600.0
 TELL_WAITING_EVERY_S: Final = 600.0
 DISK_EVERY_S: Final = 10.0
 LONGEST_IDLE_S: Final = 60.0
-MOST_WAITING_FILES: Final = 10_000
-"""Files with a waiting time of their own that are remembered; beyond that the oldest are simply tried again."""
 
 TARGET_PROBLEMS: Final = (NasUnreachable, NasRefused, DiskFull, LedgerProblem, SpoolIsTarget)
 """Problems of the whole target (or ledger): all rests for a while. Others are one file's own, and the next is tried."""
 
 Work = Generator[None, None, None]
-Stage = Literal["waiting", "stored", "refused"]
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something to tell: a file stored or refused, or that all waits."""
-
-    stage: Stage
-    run: str = ""
-    path: str = ""
-    sha256: str = ""
-    bytes: int = 0
-    destination: str = ""
-    reason: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Behaviour; see ``[uploader]``."""
-
-    table_every_s: float = 600.0
-    scan_every_s: float = 30.0
-    keep_percent_free: float = 10.0
-    recheck_per_hour: float = 120.0
-
-
-@dataclass(frozen=True, slots=True)
-class World:
-    """What is handed in.
-
-    Attributes:
-        now_s: real, monotonic seconds.
-        utc_ns: wall clock.
-        percent_free: of the spool's disk.
-        uniform: chance, for the jitter.
-        say: where events go.
-    """
-
-    now_s: Callable[[], float]
-    utc_ns: Callable[[], int]
-    percent_free: Callable[[], float]
-    say: Callable[[Event], None]
-    uniform: Callable[[float, float], float] = random.uniform
-
-
-@dataclass(slots=True)
-class _Own:
-    """A file's own waiting time after a failure of its own."""
-
-    backoff: Backoff
-    until_s: float = 0.0
-
-
-@dataclass(slots=True)
-class Totals:
-    """What this process did."""
-
-    files: int = 0
-    bytes: int = 0
-    found_there: int = 0
-    freed: int = 0
-    rechecked: int = 0
-    found_damaged: int = 0
-    last_problem: str = field(default="")
 
 
 class Uploader:
@@ -119,10 +53,19 @@ class Uploader:
         ledger: what has been verified.
         settings: behaviour.
         world: clocks, chance, disk.
+        may_free: whether it may make room in the spool at all.
     """
 
     def __init__(
-        self, runs_dir: Path, run_dir: Path, target: Target, ledger: Ledger, settings: Settings, world: World
+        self,
+        runs_dir: Path,
+        run_dir: Path,
+        target: Target,
+        ledger: Ledger,
+        settings: Settings,
+        world: World,
+        *,
+        may_free: bool = True,
     ) -> None:
         self._runs_dir = runs_dir
         self._run_dir = run_dir
@@ -144,8 +87,8 @@ class Uploader:
         self._told_waiting_at_s: float | None = None
         self._clean_due = True
         self._closing = False
-        self._may_free = True
-        self._own: dict[tuple[str, str], _Own] = {}
+        self._may_free = may_free
+        self._waits = Waits(world.uniform)
         self._table_sent_s: dict[tuple[str, str], float] = {}
         if ledger.replaced:
             self.conditions.set("ledger_replaced", ledger.replaced, serious=False)
@@ -160,7 +103,7 @@ class Uploader:
         """
         folder = self._runs.get(run)
         if folder is None:
-            folder = self._run_dir.resolve()
+            folder = scan.real_path(self._run_dir)
             if run not in (folder.name, self._run_dir.name) or not scan.is_run_folder(folder):
                 return
             self._runs[folder.name] = folder
@@ -243,34 +186,36 @@ class Uploader:
             now_ns = self._world.utc_ns()
             oldest = self._ledger.next_to_free(
                 now_ns - retention.YOUNGEST_NS,
-                lambda e: e.run in self._runs and retention.may_be_freed(e, now_ns) and self._may_try(e.key, now_s),
+                lambda e: (
+                    e.run in self._runs and retention.may_be_freed(e, now_ns) and self._waits.is_over(e.key, now_s)
+                ),
             )
             if oldest is not None:
                 return self._free(oldest)
         if self._settings.recheck_per_hour > 0 and now_s >= self._recheck_at_s:
-            checked = self._ledger.next_to_check(lambda e: self._may_try(e.key, now_s))
+            checked = self._ledger.next_to_check(lambda e: self._waits.is_over(e.key, now_s))
             if checked is not None:
                 return self._recheck(checked)
         return None
 
     def _next_upload(self, now_s: float) -> Entry | None:
         def may(entry: Entry) -> bool:
-            return entry.run in self._runs and self._may_try(entry.key, now_s)
+            return entry.run in self._runs and self._waits.is_over(entry.key, now_s)
 
         def is_due(entry: Entry) -> bool:
             sent_s = self._table_sent_s.get(entry.key)
             return may(entry) and (self._closing or sent_s is None or now_s >= sent_s + self._settings.table_every_s)
 
-        pictures = lambda: self._ledger.next_waiting("once", may)  # noqa: E731 - two orders of two looks
-        tables = lambda: self._ledger.next_waiting("table", is_due)  # noqa: E731
-        return (tables() or pictures()) if self._closing else (pictures() or tables())
+        if self._closing:
+            return self._ledger.next_waiting("table", is_due) or self._ledger.next_waiting("once", may)
+        return self._ledger.next_waiting("once", may) or self._ledger.next_waiting("table", is_due)
 
     def _idle_s(self, now_s: float) -> float:
         wake_s = [self._scan_at_s, self._disk_at_s, now_s + LONGEST_IDLE_S]
         if now_s < self._paused_until_s:
             wake_s.append(self._paused_until_s)
         else:
-            wake_s += [own.until_s for own in self._own.values() if own.until_s > now_s]
+            wake_s += self._waits.ends_after(now_s)
             if self._settings.recheck_per_hour > 0 and self.stored:
                 wake_s.append(max(self._recheck_at_s, now_s + 1.0))
         return max(0.01, min(wake_s) - now_s)
@@ -282,9 +227,12 @@ class Uploader:
         self._scan_at_s = now_s + self._settings.scan_every_s
         unnameable: list[str] = []
         try:
-            self._runs = scan.run_folders(self._runs_dir, self._run_dir)
+            self._runs, clashes = scan.run_folders(self._runs_dir, self._run_dir)
+            self.conditions.set(
+                "clashes", f"two run folders have one name, rename one: {clashes[0]}" if clashes else ""
+            )
             yield
-            present = self._run_dir.resolve().name
+            present = scan.real_path(self._run_dir).name
             for name, folder in sorted(self._runs.items(), key=lambda item: item[0] != present):
                 if everything or name == present:
                     yield from self._scan_run(name, folder, unnameable)
@@ -294,12 +242,21 @@ class Uploader:
         self.conditions.clear("spool")
         if everything:
             self._scan_all_at_s = now_s + SCAN_ALL_EVERY_S
+            self._give_up_on_runs_that_are_gone()
         self.conditions.set(
             "unnameable",
             f"{len(unnameable)} files have names that are not UTF-8 text and stay where they are: {unnameable[0]}"
             if unnameable
             else "",
         )
+
+    def _give_up_on_runs_that_are_gone(self) -> None:
+        for run, count in self._ledger.waiting_by_run().items():
+            if run not in self._runs:
+                reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
+                self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
+                self.conditions.set(f"run {run}", reason)
+                self._world.say(Event("refused", run, reason=reason))
 
     def _scan_run(self, name: str, folder: Path, unnameable: list[str]) -> Work:
         has_new = False
@@ -320,7 +277,7 @@ class Uploader:
             if not connected:
                 return
             for run, path in sorted(self._runs.items()):
-                folders = [run, *(f"{run}/{inner}" for inner in _folders(path))]
+                folders = [run, *(f"{run}/{inner}" for inner in scan.folders_of_record(path))]
                 for folder in folders:
                     yield
                     for name in self._target.names(folder):
@@ -344,8 +301,9 @@ class Uploader:
                 self._ledger.mark(entry, "damaged", str(problem))
                 self._refused(entry, str(problem))
                 return
-            self._ledger.stored(entry, done.sha256, done.size, done.mtime_ns, self._world.utc_ns())
-            self._own.pop(entry.key, None)
+            if not self._ledger.stored(entry, done.sha256, done.size, done.mtime_ns, self._world.utc_ns()):
+                return  # announced meanwhile with another hash: looked at again
+            self._waits.forget(entry.key)
             self._table_sent_s[entry.key] = self._world.now_s()
             self.totals.files += done.copied
             self.totals.found_there += not done.copied
@@ -359,7 +317,7 @@ class Uploader:
         run = self._runs[entry.run]
         if not scan.is_run_folder(run):
             self._runs.pop(entry.run)
-            self.conditions.set(f"run {entry.run}", f"{run}: the run folder is gone, with files that were not stored")
+            self._scan_all_at_s = 0.0  # the next scan tells what is missing
             return
         if entry.sha256 and (yield from hash_at_target(self._target, destination)) == entry.sha256:
             self._ledger.mark(entry, "freed")
@@ -402,7 +360,7 @@ class Uploader:
             elif result in ("changed", "not_at_target"):
                 self._ledger.mark(entry, "waiting", "looked at again before making room")
             else:
-                self._postpone(entry.key)
+                self._waits.begin(entry.key, self._world.now_s())
 
     # failures and how things stand
 
@@ -423,12 +381,11 @@ class Uploader:
             self._target.disconnect()
 
     def _failed(self, problem: StoreError, entry: Entry | None) -> None:
-        self.totals.last_problem = str(problem)
         if entry is not None:
-            self._postpone(entry.key)
+            self._waits.begin(entry.key, self._world.now_s())
         if isinstance(problem, TARGET_PROBLEMS) or entry is None:
             self._pause(problem)
-        else:
+        elif not isinstance(problem, SourceChanged):  # still being written: no news, it is tried again
             self._refused(entry, str(problem))
 
     def _pause(self, problem: StoreError) -> None:
@@ -436,7 +393,6 @@ class Uploader:
         self._paused_until_s = now_s + self._backoff.failed()
         self._clean_due = self._clean_due or not isinstance(problem, LedgerProblem)
         is_news = self.conditions.set("target", str(problem))
-        self.totals.last_problem = str(problem)
         is_long_ago = self._told_waiting_at_s is None or now_s >= self._told_waiting_at_s + TELL_WAITING_EVERY_S
         if is_news or is_long_ago:
             self._told_waiting_at_s = now_s
@@ -447,18 +403,7 @@ class Uploader:
         self._told_waiting_at_s = None
         self.conditions.clear("target")
 
-    def _postpone(self, key: tuple[str, str]) -> None:
-        own = self._own.setdefault(key, _Own(Backoff(self._world.uniform)))
-        own.until_s = self._world.now_s() + own.backoff.failed()
-        while len(self._own) > MOST_WAITING_FILES:
-            self._own.pop(next(iter(self._own)))
-
-    def _may_try(self, key: tuple[str, str], now_s: float) -> bool:
-        own = self._own.get(key)
-        return own is None or now_s >= own.until_s
-
     def _refused(self, entry: Entry, reason: str) -> None:
-        self.totals.last_problem = reason
         if self.conditions.set(f"file {entry.run}/{entry.path}", reason):
             self._say("refused", entry, reason=reason)
 
@@ -481,11 +426,3 @@ class Uploader:
 
 def _destination(entry: Entry) -> str:
     return f"{entry.run}/{entry.path}"
-
-
-def _folders(run: Path) -> list[str]:
-    """Folders of a run, each once, as far as files of record lie in them."""
-    found: set[str] = set()
-    for batch in scan.files_of_record(run, []):
-        found.update(str(Path(file.path).parent) for file in batch)
-    return sorted(found - {"."})

@@ -243,6 +243,17 @@ def test_an_error_midway_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_version_and_bare_command(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capfd.readouterr().out.startswith("flora-lab 0.")
+    assert main([]) == 0
+    assert "from photographs to controllers" in capfd.readouterr().out
+    assert main(["trakc"]) == 2
+    said = capfd.readouterr().err
+    assert "Did you mean 'track'?" in said
+    assert said.count("\n") == 1
+
+
 def test_installed_command_shows_its_help() -> None:
     command = Path(sys.executable).parent / "flora-lab"
     shown = subprocess.run([command, "track", "--help"], capture_output=True, text=True, timeout=60)

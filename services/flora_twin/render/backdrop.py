@@ -15,7 +15,7 @@ from flora_twin.render.surfaces import FLOOR, LAMP, POT, SOIL, Float32, Surfaces
 from flora_twin.strips import OFF, LampLight
 
 LENS_BLUR_PX: Final = 0.75
-_KEPT: Final = 6
+_KEPT: Final = 4
 _EMISSION: Final = 14.0
 _SATURATED: Final = 6.0
 

@@ -1,0 +1,24 @@
+"""flora-capture: one photograph per tick, by a camera process that may hang and be killed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flora_capture.service import CaptureSection, CaptureService
+from flora_capture.store import Store
+from flora_common.service import App, run_service
+
+
+def build(app: App[CaptureSection]) -> None:
+    camera = app.run.read_run_file().camera
+    CaptureService(app, Store(app.run), app.config.settings(camera, app.rig.clock.twin))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run_service(
+        "flora-capture",
+        CaptureSection,
+        build,
+        argv=argv,
+        description="One photograph per tick: taken, checked, stored, announced.",
+    )

@@ -1,0 +1,185 @@
+"""Photographs on the disk: the picture, its line in ``frames.jsonl``, its line in ``frames.csv``, in this order.
+
+``frames.jsonl`` is the ledger: what is listed there has been taken. ``frames.csv`` is made good from it after a crash
+or a full disk. No photograph of the run is ever written over; one of the empty setup gives way to a newer one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from flora_capture.core import Exposure, exposure_of
+from flora_common.errors import BadRunFolder, StoreError
+from flora_common.files import append_line, sha256_of_bytes, sha256_of_file, write_bytes
+from flora_common.messages import Frame
+from flora_common.messages.catalogue import Purpose
+from flora_common.runs import Light, RunFolder
+
+SHOT_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,58}\.jpg")
+RUN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+TAIL_BYTES: Final = 4096
+
+
+class FrameRecord(msgspec.Struct, frozen=True):
+    """A line of ``frames.jsonl``.
+
+    Attributes:
+        file: inside the run folder.
+        metadata: as the camera gave them.
+        flash: whether the flash lamp was confirmed lit.
+    """
+
+    tick: int
+    file: str
+    sha256: str
+    bytes: int
+    width_px: int
+    height_px: int
+    purpose: Purpose
+    light: Light
+    flash: bool
+    time_s: float
+    t_utc_ns: int
+    exposure_note: str = ""
+    metadata: dict[str, Any] = {}
+
+    def message(self, run: str) -> Frame:
+        """What is announced of it."""
+        exposure: Exposure = exposure_of(self.metadata)
+        return Frame(
+            tick=self.tick,
+            time_s=self.time_s,
+            path=self.file,
+            run=run,
+            sha256=self.sha256,
+            bytes=self.bytes,
+            width_px=self.width_px,
+            height_px=self.height_px,
+            light=self.light,
+            flash_confirmed=self.flash,
+            exposure_ok=not self.exposure_note,
+            exposure_note=self.exposure_note[:500],
+            exposure_us=exposure.exposure_us,
+            analogue_gain=exposure.analogue_gain,
+            digital_gain=exposure.digital_gain,
+            red_gain=exposure.red_gain,
+            blue_gain=exposure.blue_gain,
+            purpose=self.purpose,
+        )
+
+
+class Store:
+    """The photographs of one run.
+
+    Attributes:
+        run_name: the run folder's own name, where ``run_dir`` is a link to it.
+        last: the photograph with the highest tick, or None.
+        taken: photographs of the run itself, without those of the empty setup.
+
+    Raises:
+        BadRunFolder: the folder's name cannot be announced, or ``frames.csv`` is damaged.
+    """
+
+    def __init__(self, run: RunFolder) -> None:
+        self._run = run
+        self.run_name = run.path.resolve().name
+        if not RUN_NAME.fullmatch(self.run_name):
+            raise BadRunFolder(f"{run.path}: a run folder's name is made of letters, digits, `.`, `_` and `-`")
+        self.last: FrameRecord | None = None
+        self.taken = 0
+        self._csv_time_s = _last_time_s(run.frames_csv)
+        self._not_in_csv: list[FrameRecord] = []
+        for record in _read_records(run.frames_log):
+            self._note(record)
+
+    def _note(self, record: FrameRecord) -> None:
+        if self.last is None or record.tick >= self.last.tick:
+            self.last = record
+        if record.purpose == "run":
+            self.taken += 1
+            if record.time_s > self._csv_time_s:
+                self._not_in_csv.append(record)
+
+    def name_for(self, tick: int, purpose: Purpose, shot: str) -> str:
+        """The file that a photograph is to become, inside the run folder.
+
+        Raises:
+            StoreError: a name for a picture of the empty setup that is none.
+        """
+        if purpose == "background":
+            if not SHOT_NAME.fullmatch(shot):
+                raise StoreError(f"`{shot}` is not a name for a picture of the empty setup, such as left.jpg")
+            return f"background/{shot}"
+        name, number = f"frames/{tick:06d}.jpg", 1
+        while (self._run.path / name).exists():  # written, but killed before it was listed
+            number += 1
+            name = f"frames/{tick:06d}-{number}.jpg"
+        return name
+
+    def whole(self, record: FrameRecord) -> bool:
+        """Whether a listed photograph is on the disk as it was taken."""
+        try:
+            return sha256_of_file(self._run.path / record.file) == record.sha256
+        except OSError:
+            return False
+
+    def add(self, jpeg: bytes, record: FrameRecord) -> FrameRecord:
+        """Write a photograph and list it; returns the record with size and hash filled in.
+
+        Raises:
+            DiskFull: no room; nothing is left half written.
+            OSError: the disk refuses.
+        """
+        record = msgspec.structs.replace(record, sha256=sha256_of_bytes(jpeg), bytes=len(jpeg))
+        write_bytes(self._run.path / record.file, jpeg)
+        append_line(self._run.frames_log, msgspec.json.encode(record).decode())
+        self._note(record)
+        return record
+
+    def complete_csv(self) -> None:
+        """Add the lines that ``frames.csv`` still lacks.
+
+        Raises:
+            DiskFull: no room; they are added later.
+        """
+        while self._not_in_csv:
+            record = self._not_in_csv[0]
+            if record.time_s > self._csv_time_s:
+                self._run.append_frame(record.file, record.time_s, record.light)
+                self._csv_time_s = record.time_s
+            self._not_in_csv.pop(0)
+
+
+def _read_records(file: Path) -> Iterator[FrameRecord]:
+    decoder = msgspec.json.Decoder(FrameRecord)
+    try:
+        with file.open("rb") as lines:
+            for line in lines:
+                try:
+                    yield decoder.decode(line)
+                except ValueError:
+                    continue  # torn by a power cut; the picture is there and keeps its name
+    except FileNotFoundError:
+        return
+
+
+def _last_time_s(file: Path) -> float:
+    """Time of the last whole line of ``frames.csv``; below every time where there is none."""
+    try:
+        with file.open("rb") as data:
+            data.seek(max(0, data.seek(0, os.SEEK_END) - TAIL_BYTES))
+            lines = data.read().split(b"\n")[:-1]
+    except FileNotFoundError:
+        return -1.0
+    if not lines or lines[-1].startswith(b"file,"):
+        return -1.0
+    try:
+        return float(lines[-1].split(b",")[1])
+    except (IndexError, ValueError) as problem:
+        raise BadRunFolder(f"{file}: the last line is damaged ({lines[-1][:60]!r}); mend or remove it") from problem

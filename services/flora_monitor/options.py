@@ -1,0 +1,96 @@
+"""What every command of the monitor is given: which bus, which rig, how to show it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import typer
+
+from flora_common.config import RigSection, load_config
+from flora_common.errors import BadInput, BadMessage, BadRunFolder, ConfigError
+from flora_common.messages import split_topic
+from flora_common.runs import RunFolder
+from flora_common.toml_strict import convert
+from flora_monitor.health import services_of_catalogue
+from flora_monitor.listen import Listener
+from flora_monitor.stats import Board
+
+DEFAULT_TICK_S: Final = 300.0
+
+
+class MonitorSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[monitor]``: which services ``health`` wants to see."""
+
+    services: tuple[Annotated[str, msgspec.Meta(pattern=r"^flora-[a-z]+$", max_length=64)], ...] = (
+        services_of_catalogue()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """Options of every command."""
+
+    rig: RigSection
+    section: MonitorSection
+    only_rig: str | None
+    as_json: bool
+
+    @property
+    def is_lock_step(self) -> bool:
+        """Rig time is the grow box's, not this machine's."""
+        return self.rig.clock.kind == "twin"
+
+    @property
+    def is_this_machine(self) -> bool:
+        """The times in messages are of this machine's own clock."""
+        near = ("ipc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
+        return not self.is_lock_step and self.rig.bus_subscribe.startswith(near)
+
+    def tick_s(self, interval_s: float | None) -> float:
+        if interval_s is not None:
+            return interval_s
+        try:
+            return RunFolder(Path(self.rig.run_dir)).read_run_file().interval_s
+        except BadRunFolder:
+            return DEFAULT_TICK_S
+
+    def board(self, interval_s: float | None = None) -> Board:
+        return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
+
+    def listener(self, pattern: str = "*") -> Listener:
+        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern)
+
+
+Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone")]
+Rig = Annotated[str | None, typer.Option("--rig", help="this rig only", metavar="NAME")]
+Config = Annotated[Path | None, typer.Option("--config", help="the rig's TOML file", metavar="FILE")]
+Publish = Annotated[str | None, typer.Option("--publish", help="where the bus hears", metavar="ENDPOINT")]
+Subscribe = Annotated[str | None, typer.Option("--subscribe", help="where the bus says", metavar="ENDPOINT")]
+Json = Annotated[bool, typer.Option("--json", help="one JSON object a line; also when piped")]
+Count = Annotated[int | None, typer.Option("--count", min=1, help="end after this many messages")]
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="end after this many seconds")]
+Interval = Annotated[float | None, typer.Option("--interval", min=0.001, help="seconds between ticks")]
+
+
+def common_options(
+    config: Path | None, rig: str | None, publish: str | None, subscribe: str | None, *, as_json: bool
+) -> Common:
+    found, section = load_config(config, "monitor", MonitorSection)
+    for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
+        if value is not None:
+            convert({key: value}, RigSection, where=flag, error=ConfigError)
+            found = msgspec.structs.replace(found, **{key: value})
+    if rig is not None:
+        _refuse_bad_rig(rig)
+    return Common(found, section, rig, as_json or not sys.stdout.isatty())
+
+
+def _refuse_bad_rig(rig: str) -> None:
+    try:
+        split_topic(f"{rig}/tick".encode())
+    except BadMessage as problem:
+        raise BadInput(f"--rig {rig!r}: a rig's name is small letters, digits, - and _, 32 at most") from problem

@@ -1,0 +1,138 @@
+"""A bus of its own for each test: services as real processes, private sockets, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import tomli_w
+import zmq
+
+from flora_common.bus import Arrival, BusAddress, BusClient
+from flora_common.clock import SystemClock
+from flora_common.messages import Health
+
+COMMANDS = Path(sys.executable).parent
+DEADLINE_S = 20.0
+
+
+class PrivateBus:
+    """Sockets, folders and a configuration file of one test; processes end with it."""
+
+    def __init__(self, folder: Path, sockets: Path) -> None:
+        self.folder = folder
+        self.address = BusAddress(f"ipc://{sockets}/pub", f"ipc://{sockets}/sub")
+        self.run_dir = folder / "run"
+        self.sections: dict[str, dict[str, object]] = {
+            "rig": {
+                "name": "test",
+                "run_dir": str(self.run_dir),
+                "state_dir": str(folder / "state"),
+                "bus_publish": self.address.publish,
+                "bus_subscribe": self.address.subscribe,
+                "health_every_s": 0.2,
+            }
+        }
+        self.processes: list[subprocess.Popen[str]] = []
+        self.clients: list[BusClient] = []
+
+    @property
+    def config(self) -> Path:
+        """The configuration file, written anew each time."""
+        path = self.folder / "flora.toml"
+        path.write_text(tomli_w.dumps(self.sections), encoding="utf-8")
+        return path
+
+    def start(self, command: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
+        """A process of ours: an installed command, or a script."""
+        program = [sys.executable, command] if command.endswith(".py") else [str(COMMANDS / command)]
+        process = subprocess.Popen(
+            [*program, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1", **(env or {})},
+        )
+        self.processes.append(process)
+        return process
+
+    def start_service(
+        self, command: str, *arguments: str, env: dict[str, str] | None = None
+    ) -> subprocess.Popen[str]:
+        """A service with this test's configuration."""
+        return self.start(command, "--config", str(self.config), *arguments, env=env)
+
+    def client(self, source: str = "flora-test", *, prefixes: tuple[bytes, ...] = (b"",)) -> BusClient:
+        """A participant that hears everything (unless told) and is connected."""
+        client = BusClient(self.address, rig="test", source=source, clock=SystemClock())
+        client.subscribe_prefixes(*prefixes)
+        self.clients.append(client)
+        client.connect()
+        self.hear(client, lambda _: client.connected)
+        return client
+
+    def hear(
+        self, client: BusClient, until: Callable[[list[Arrival]], bool], *, deadline_s: float = DEADLINE_S
+    ) -> list[Arrival]:
+        """Receive until a condition on all that came holds."""
+        poller = zmq.Poller()
+        poller.register(client.subscriber, zmq.POLLIN)
+        poller.register(client.publisher, zmq.POLLIN)
+        heard: list[Arrival] = []
+        end_s = time.monotonic() + deadline_s
+        while not until(heard):
+            left_s = end_s - time.monotonic()
+            assert left_s > 0, f"not heard in {deadline_s} s; heard: {heard[-5:]}; {self.what_they_said()}"
+            poller.poll(max(1, round(min(left_s, 1.0) * 1000)))
+            client.handle_publisher()
+            heard += client.receive_all()
+        return heard
+
+    def wait_ready(self, client: BusClient, *services: str) -> None:
+        """Until each of these says that it is ready."""
+        missing = set(services)
+
+        def all_ready(heard: list[Arrival]) -> bool:
+            for arrival in heard:
+                if isinstance(arrival.message, Health) and arrival.message.state == "ready":
+                    missing.discard(arrival.message.source)
+            return not missing
+
+        self.hear(client, all_ready)
+
+    def what_they_said(self) -> str:
+        """What ended processes left on stderr."""
+        ended = [p for p in self.processes if p.poll() is not None and p.stderr and not p.stderr.closed]
+        return "; ".join(f"{p.args} ended {p.returncode}: {p.stderr.read()[-2000:]}" for p in ended if p.stderr)
+
+    def stop(self, process: subprocess.Popen[str]) -> tuple[int, str, str]:
+        """SIGTERM; returns (status, stdout, stderr)."""
+        process.terminate()
+        out, err = process.communicate(timeout=DEADLINE_S)
+        return process.returncode, out, err
+
+    def close(self) -> None:
+        for client in self.clients:
+            client.close()
+        for process in self.processes:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[PrivateBus]:
+    """A private bus, not yet started."""
+    # Socket paths have to be short (107 bytes), and pytest's folders are not.
+    with tempfile.TemporaryDirectory(prefix="flora-") as sockets:
+        private = PrivateBus(tmp_path, Path(sockets))
+        try:
+            yield private
+        finally:
+            private.close()
