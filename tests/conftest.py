@@ -62,9 +62,7 @@ class PrivateBus:
         self.processes.append(process)
         return process
 
-    def start_service(
-        self, command: str, *arguments: str, env: dict[str, str] | None = None
-    ) -> subprocess.Popen[str]:
+    def start_service(self, command: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
         """A service with this test's configuration."""
         return self.start(command, "--config", str(self.config), *arguments, env=env)
 

@@ -32,7 +32,7 @@ class CaptureSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     backend: Literal["picamera2", "opencv", "replay", "virtual"] = "picamera2"
     source: str = "0"
     twin: str = ""
-    exposure_us: Positive = 8000.0
+    exposure_us: Positive = 20_000.0
     analogue_gain: Annotated[float, msgspec.Meta(ge=1.0, le=64.0)] = 1.0
     colour_gains: tuple[ColourGain, ColourGain] = (1.9, 1.6)
     exposure_tolerance: Tolerance = 0.02

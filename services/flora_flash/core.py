@@ -99,10 +99,19 @@ class Beat:
             return 0
         return self._zero_ns + round((self.state.due_s + self._interval_s) * NS)
 
-    def at_least(self, tick: int) -> None:
-        """A number that the bus has heard is not given out again, whatever the file says."""
-        if tick > self.state.tick:
-            self.state = msgspec.structs.replace(self.state, tick=tick)
+    def heard(self, tick: Tick) -> None:
+        """A tick of ours that the bus knows and the file does not, for the disk was full: it is not started again."""
+        if tick.tick <= self.state.tick:
+            return
+        self.state = msgspec.structs.replace(self.state, tick=tick.tick)
+        if self.state.begun and tick.purpose == "run":
+            self.state = msgspec.structs.replace(self.state, due_s=max(self.state.due_s, tick.time_s - tick.late_s))
+
+    def is_recent(self, now: Reading) -> bool:
+        """Whether the last number was given out so lately that it can still be photographed."""
+        if self.state.purpose == "background":
+            return True
+        return self.state.begun and self.time_s(now.mono_ns) - self.state.due_s < self._interval_s / 2
 
     def next(self, now: Reading) -> Tick:
         """Start the tick that is due."""
@@ -137,10 +146,10 @@ class Beat:
         return self.again(now)
 
     def again(self, now: Reading) -> Tick:
-        """The last tick once more, for one that was written down and never announced."""
-        state = self.state
-        time_s = state.time_s if state.purpose == "run" else self.time_s(now.mono_ns)
-        return Tick(tick=state.tick, time_s=time_s, purpose=state.purpose, shot=state.shot)
+        """The last tick once more, for one that was written down and never lit."""
+        state, time_s = self.state, self.time_s(now.mono_ns)
+        late_s = max(0.0, time_s - state.due_s) if state.purpose == "run" else 0.0
+        return Tick(tick=state.tick, time_s=time_s, purpose=state.purpose, shot=state.shot, late_s=late_s)
 
     def give_up_setup(self) -> None:
         """The last picture of the empty setup failed: its step may be asked for again."""

@@ -24,7 +24,10 @@ RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 
 
 class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[flash]``. Time-outs are real seconds: they guard devices. ``twin`` is that of ``[rig.clock]`` unless stated."""
+    """``[flash]``. Time-outs are in real seconds: they guard devices.
+
+    ``line`` is a GPIO line of ``chip``, on a Pi the BCM number. ``twin`` is that of ``[rig.clock]`` unless stated.
+    """
 
     backend: Literal["gpio", "virtual", "none"] = "gpio"
     chip: str = "/dev/gpiochip0"
@@ -75,27 +78,28 @@ class FlashService:
     def _resume(self) -> None:
         """The bus has handed over what it kept: carry on where the last start was killed."""
         self._ready = True
-        inbox = self._app.inbox
-        asked, tick = inbox.last(Flash), inbox.last(Tick)
-        over = max(getattr(inbox.last(kind), "tick", 0) for kind in (Frame, FrameMissed, Lamps))
-        lamps = inbox.last(Lamps)
-        written = self._beat.state.tick
-        self._beat.at_least(tick.tick if tick else 0)
-        is_of_this_run = self._beat.state.begun or self._beat.state.purpose == "background"
-        if written != self._beat.state.tick or written <= over or not is_of_this_run:
+        inbox, now = self._app.inbox, self._now()
+        tick, asked, lamps = inbox.last(Tick), inbox.last(Flash), inbox.last(Lamps)
+        written = self._beat.state
+        if tick is not None:
+            self._beat.heard(tick)
+        if self._beat.state.tick != written.tick or not self._beat.is_recent(now):
             self._proceed()
             return
-        if self._in_lock_step() and self._beat.state.purpose == "run" and (lamps is None or lamps.tick < written):
-            self._unanswered = written
-        last = self._beat.again(self._now())
-        if asked is None or asked.tick < written:
-            if tick is None or tick.tick < written:
+        if self._in_lock_step() and written.purpose == "run" and (lamps is None or lamps.tick < written.tick):
+            self._unanswered = written.tick
+            self._await_answer()
+        if any((said := inbox.last(kind)) and said.tick >= written.tick for kind in (Frame, FrameMissed, Lamps)):
+            self._proceed()
+        elif asked is not None and asked.tick >= written.tick:
+            self._open = Tick(tick=asked.tick, time_s=asked.time_s, purpose=asked.purpose, shot=asked.shot)
+            self._say(self._open, lit=False, reason="flora-flash was started again")
+            self._await_frame()
+        else:
+            last = self._beat.again(now)
+            if tick is None or tick.tick < written.tick:
                 self._app.publish(last)
             self._light(last)
-        else:
-            self._open = last
-            self._say(last, lit=False, reason="flora-flash was started again")
-            self._await_frame()
 
     def _proceed(self) -> None:
         """Do what is next, or arrange to be called when it is."""
@@ -173,8 +177,7 @@ class FlashService:
         self._cancel("frame")
         self._open = None
         self._say(tick, lit=False, reason=reason)
-        if self._unanswered:
-            self._after("answer", self._app.config.answer_timeout_s, self._answer_timed_out)
+        self._await_answer()
         self._proceed()
 
     def _say(self, tick: Tick, *, lit: bool, reason: str) -> None:
@@ -210,7 +213,7 @@ class FlashService:
     def _leave_dark(self) -> None:
         done, problem = self._switch(False)
         if not done:
-            self._app.log.error("flash_not_dark", reason=problem)
+            self._app.log.problem("flash_not_dark", problem)
         self._lamp.close()
 
     # the answer, in lock-step
@@ -218,6 +221,10 @@ class FlashService:
     def _in_lock_step(self) -> bool:
         clock = self._app.clock
         return clock.real_s_until(clock.mono_ns() + NS) == 0.0
+
+    def _await_answer(self) -> None:
+        if self._unanswered:
+            self._after("answer", self._app.config.answer_timeout_s, self._answer_timed_out)
 
     def _lamps_shine(self, lamps: Lamps) -> None:
         if lamps.setup_step:

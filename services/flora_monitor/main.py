@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -59,11 +60,14 @@ def _until(batches: Iterator[Batch], seconds: float | None, began_s: float) -> I
 
 @contextmanager
 def _summed_up(summary: Callable[[], str]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the work; whatever ends it, one line says what was done."""
+    """Ctrl-C, SIGTERM and a reader who has had enough (``| head``) end the work; one line says what was done."""
     try:
         yield
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except BrokenPipeError:
+        # What is left in the buffer would fail once more when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     print(f"{PROGRAM}: {summary()}", file=sys.stderr, flush=True)
 
 
@@ -236,8 +240,11 @@ def record(
         return f"{file}: {writer.messages} recorded, {writer.bytes} bytes; " + _said(board, began_s)
 
     def take() -> None:
-        flushed_s = began_s
+        flushed_s, is_told = began_s, False
         for batch in _until(listener.batches(), seconds, began_s):
+            if listener.connected and not is_told:
+                is_told = True
+                listener.warn(f"recording to {writer.open_path}")
             for arrival in batch.arrivals:
                 board.hear(arrival, batch.real_s)
                 writer.add(arrival, utc_ns=clock.utc_ns(), rig=rig or "")

@@ -10,10 +10,11 @@ import typer
 
 from flora_common.cli import run_typer, version_line
 from flora_twin import commands
+from flora_twin.rig import demo
 
 PROGRAM: Final = "flora-twin"
 
-REGISTER: Final[tuple[Callable[[typer.Typer], None], ...]] = (commands.register,)
+REGISTER: Final[tuple[Callable[[typer.Typer], None], ...]] = (commands.register, demo.register)
 """Each adds commands to the application."""
 
 

@@ -25,6 +25,11 @@ from flora_twin.strips import DARK, LampLight, light_name, read_strips
 
 CHECKPOINT_VERSION: Final = 1
 MAX_ADVANCE_S: Final = 30 * 86_400.0
+_DAMAGE: Final = (
+    *(ValueError, KeyError, TypeError, EOFError, OSError, ArithmeticError),
+    *(RuntimeError, MemoryError, zipfile.BadZipFile),
+)
+"""What zipfile, numpy and json raise over damaged archives."""
 _TORN_SHARE: Final = 0.6
 _READOUT_US: Final = 23_300
 
@@ -263,7 +268,7 @@ class World:
             if dose.shape != (2,) or not np.isfinite(dose).all() or not 0.0 <= time_s < math.inf:
                 raise ValueError("time or light dose out of range")
             flash, planted, pictures = bool(head["flash"]), bool(head["planted"]), int(head["pictures_now"])
-        except (ValueError, KeyError, TypeError, EOFError, OSError, ArithmeticError, zipfile.BadZipFile) as problem:
+        except _DAMAGE as problem:
             raise BadInput(f"not a snapshot of a world ({problem})") from problem
         self.plants, self.lamps, self.faults = plants, (left, right), faults
         self.time_s, self._dose = time_s, dose

@@ -28,6 +28,8 @@ def make_uploader(
     spool = runs_dir(rig, config)
 
     def percent_free() -> float:
+        if not may_free:
+            return 100.0
         try:
             return disk_use(spool).percent_free
         except OSError:
@@ -76,7 +78,7 @@ def upload_once(rig: RigSection, config: UploaderSection) -> int:
         print(f"flora-uploader: {event.reason}", file=sys.stderr)
     if len(refused) > SHOWN:
         print(f"flora-uploader: and {len(refused) - SHOWN} more", file=sys.stderr)
-    if uploader.waiting == 0 and not refused and not uploader.conditions.is_serious_beyond_disk:
+    if uploader.waiting == 0 and not refused and not uploader.conditions.is_serious:
         return 0
     if not refused:
         raise StoreError(uploader.conditions.sentence() or "files are still waiting; try again")

@@ -47,11 +47,6 @@ class Conditions:
         """Whether the service is degraded."""
         return any(condition.serious for condition in self._holding.values())
 
-    @property
-    def is_serious_beyond_disk(self) -> bool:
-        """Likewise, but for a spool's disk that fills: that does not keep files from being stored."""
-        return any(condition.serious for key, condition in self._holding.items() if key != "disk")
-
     def sentence(self) -> str:
         """One line: the target's problem, else the first of the serious ones, and how many more there are."""
         if not self._holding:

@@ -42,16 +42,16 @@ CREATE TABLE files (
     expected TEXT NOT NULL DEFAULT '',
     sha256 TEXT NOT NULL DEFAULT '',
     verified_ns INTEGER NOT NULL DEFAULT 0,
-    checked_ns INTEGER NOT NULL DEFAULT 0,
+    turn INTEGER NOT NULL DEFAULT 0,
     reason TEXT NOT NULL DEFAULT '',
     PRIMARY KEY (run, path)
 ) WITHOUT ROWID;
 CREATE INDEX files_queue ON files (state, kind, mtime_ns);
-CREATE INDEX files_check ON files (state, checked_ns);
+CREATE INDEX files_check ON files (state, turn);
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 """
 
-_COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, checked_ns, reason"
+_COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, turn, reason"
 
 
 class LedgerProblem(StoreError):
@@ -72,7 +72,7 @@ class Entry:
         expected: SHA-256 that the camera announced, or empty.
         sha256: SHA-256 of what was last verified at the target, or empty.
         verified_ns: when that was, UTC.
-        checked_ns: when the target was last read, UTC.
+        turn: number of the last look at the target; no clock, because clocks jump.
         reason: of a state that is not as it should be.
     """
 
@@ -85,7 +85,7 @@ class Entry:
     expected: str = ""
     sha256: str = ""
     verified_ns: int = 0
-    checked_ns: int = 0
+    turn: int = 0
     reason: str = ""
 
     @property
@@ -129,6 +129,7 @@ class Ledger:
                         self._db.execute("UPDATE facts SET value = ? WHERE name = 'target'", (target,))
                 # What was damaged may have been put right by hand: look once more at each start.
                 self._db.execute("UPDATE files SET state = 'waiting' WHERE state = 'damaged'")
+                self._turn = int(self._db.execute("SELECT coalesce(max(turn), 0) FROM files").fetchone()[0])
                 self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
         except BaseException:
             self._lock.close()
@@ -244,7 +245,7 @@ class Ledger:
 
     def next_to_check(self, may: Callable[[Entry], bool]) -> Entry | None:
         """The file at the target that has not been read for the longest time."""
-        return self._first("state IN ('stored', 'freed') ORDER BY checked_ns, run, path", (), may)
+        return self._first("state IN ('stored', 'freed') ORDER BY turn, run, path", (), may)
 
     def next_to_free(self, before_ns: int, may: Callable[[Entry], bool]) -> Entry | None:
         """The oldest stored file of the spool that was last changed before a time (UTC)."""
@@ -283,16 +284,16 @@ class Ledger:
         self._write(
             entry,
             "stored",
-            "UPDATE files SET state = 'stored', sha256 = ?, size = ?, mtime_ns = ?, verified_ns = ?, checked_ns = ?,"
+            "UPDATE files SET state = 'stored', sha256 = ?, size = ?, mtime_ns = ?, verified_ns = ?, turn = ?,"
             " reason = '' WHERE run = ? AND path = ?",
-            (sha256, size, mtime_ns, now_ns, now_ns, *entry.key),
+            (sha256, size, mtime_ns, now_ns, self._next_turn(), *entry.key),
         )
         return True
 
-    def checked(self, entry: Entry, now_ns: int) -> None:
+    def checked(self, entry: Entry) -> None:
         """Read at the target, and good."""
         with _told():
-            self._db.execute("UPDATE files SET checked_ns = ? WHERE run = ? AND path = ?", (now_ns, *entry.key))
+            self._db.execute("UPDATE files SET turn = ? WHERE run = ? AND path = ?", (self._next_turn(), *entry.key))
 
     def mark(self, entry: Entry, state: FileState, reason: str = "") -> None:
         """Another state, and why."""
@@ -312,6 +313,10 @@ class Ledger:
             ).rowcount
         self.counts["waiting"] -= count
         self.counts["vanished"] += count
+
+    def _next_turn(self) -> int:
+        self._turn += 1
+        return self._turn
 
     def forget(self, entry: Entry) -> None:
         """A growing file that nobody has any more."""

@@ -23,6 +23,7 @@ ALERT_STEPS: Final = (95, 80, 50)
 FIRST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 600.0
 SHORTEST_WAIT_S: Final = 0.05
+TELL_EVERY_S: Final = 600.0
 MOST_WAITS: Final = 10_000
 """Files whose own waiting times are remembered; beyond that the oldest are simply tried again."""
 
@@ -70,6 +71,35 @@ class Backoff:
 
     def worked(self) -> None:
         self._failures = 0
+
+
+class Pause:
+    """The rest of everything after a problem of the whole target, and when to tell of it again.
+
+    Args:
+        uniform: as for :class:`Backoff`.
+
+    Attributes:
+        until_s: nothing is tried before this time.
+    """
+
+    def __init__(self, uniform: Callable[[float, float], float] = random.uniform) -> None:
+        self._backoff = Backoff(uniform)
+        self._told_at_s: float | None = None
+        self.until_s = 0.0
+
+    def begin(self, now_s: float, *, is_news: bool) -> bool:
+        """After a failure. Returns whether to tell of it: when it is news, and every ten minutes."""
+        self.until_s = now_s + self._backoff.failed()
+        if not is_news and self._told_at_s is not None and now_s < self._told_at_s + TELL_EVERY_S:
+            return False
+        self._told_at_s = now_s
+        return True
+
+    def over(self) -> None:
+        """Something worked."""
+        self._backoff.worked()
+        self._told_at_s = None
 
 
 class Waits:

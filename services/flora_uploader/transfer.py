@@ -115,8 +115,6 @@ def transfer(order: Order, target: Target) -> Steps:
         there = yield from _hash_there(target, order.destination)
         is_continued = False
         if there is not None:
-            if order.kind == "once" and there.sha256 == order.expected:
-                return Verified(there.sha256, there.size, source.status.st_mtime_ns, copied=False)
             here = yield from source.read(prefix=there.size if order.kind == "table" else 0)
             if here.sha256 == there.sha256:
                 return Verified(here.sha256, here.size, source.status.st_mtime_ns, copied=False)

@@ -16,7 +16,8 @@ from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
 from flora_uploader.ledger import Entry, Ledger, LedgerProblem
 from flora_uploader.model import Event, Settings, Stage, Totals, World
-from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph
+from flora_uploader.policy import Pause, Waits, disk_alert
+from flora_uploader.spool import Spool
 from flora_uploader.target import Target
 from flora_uploader.transfer import (
     Order,
@@ -33,7 +34,6 @@ SLICE_S: Final = 0.03
 """A step ends when it has worked this long; the smallest piece of work is a megabyte, or one flush."""
 
 SCAN_ALL_EVERY_S: Final = 3600.0
-TELL_WAITING_EVERY_S: Final = 600.0
 DISK_EVERY_S: Final = 10.0
 LONGEST_IDLE_S: Final = 60.0
 
@@ -67,25 +67,21 @@ class Uploader:
         *,
         may_free: bool = True,
     ) -> None:
-        self._runs_dir = runs_dir
-        self._run_dir = run_dir
         self._target = target
         self._ledger = ledger
         self._settings = settings
         self._world = world
         self.conditions = Conditions()
         self.totals = Totals()
-        self._runs: dict[str, Path] = {}
-        self._logs_seen: dict[str, tuple[int, int]] = {}
+        self._spool = Spool(runs_dir, run_dir, ledger, self.conditions, world.say)
         self._job: Work | None = None
-        self._backoff = Backoff(world.uniform)
-        self._paused_until_s = 0.0
+        self._pause = Pause(world.uniform)
         self._scan_at_s = 0.0
         self._scan_all_at_s = 0.0
         self._disk_at_s = 0.0
         self._recheck_at_s = 0.0
-        self._told_waiting_at_s: float | None = None
         self._clean_due = True
+        self._was_gone = False
         self._closing = False
         self._may_free = may_free
         self._waits = Waits(world.uniform)
@@ -96,23 +92,12 @@ class Uploader:
     # what others tell
 
     def hear(self, run: str, path: str, sha256: str) -> None:
-        """A photograph was announced: it goes at once.
+        """A photograph was announced: ``step`` sends it without waiting for the next scan.
 
         Raises:
-            StoreError: the ledger cannot be written; the next scan finds the file.
+            StoreError: the spool cannot be read or the ledger not written; the next scan finds the file.
         """
-        folder = self._runs.get(run)
-        if folder is None:
-            folder = scan.real_path(self._run_dir)
-            if run not in (folder.name, self._run_dir.name) or not scan.is_run_folder(folder):
-                return
-            self._runs[folder.name] = folder
-        found = scan.look_at(folder, path)
-        if found is None or not all(is_of_record(part) for part in Path(path).parts):
-            return
-        self._ledger.see(folder.name, [found])
-        if is_photograph(path):
-            self._ledger.expect(folder.name, {path: sha256})
+        self._spool.hear(run, path, sha256)
 
     # the work
 
@@ -135,7 +120,7 @@ class Uploader:
                 try:
                     self._job = self._next_job(began_s)
                 except LedgerProblem as problem:
-                    self._pause(problem)
+                    self._rest(problem)
             if self._job is None:
                 return self._idle_s(began_s)
             try:
@@ -144,7 +129,7 @@ class Uploader:
                 self._job = None
             except LedgerProblem as problem:
                 self._job = None
-                self._pause(problem)
+                self._rest(problem)
             if self._world.now_s() - began_s >= SLICE_S:
                 return 0.0
 
@@ -164,21 +149,23 @@ class Uploader:
     @property
     def is_idle(self) -> bool:
         """Nothing is being done and nothing can be done now."""
-        now_s = self._world.now_s()
-        return self._job is None and self._next_job(now_s, peek=True) is None
+        try:
+            return self._job is None and self._next_job(self._world.now_s(), peek=True) is None
+        except LedgerProblem:
+            return True
 
     def _next_job(self, now_s: float, *, peek: bool = False) -> Work | None:
         if now_s >= self._scan_at_s:
             return self._scan(everything=now_s >= self._scan_all_at_s)
-        if now_s < self._paused_until_s:
+        if now_s < self._pause.until_s:
             return None
         if self._clean_due:
             return self._clean()
         entry = self._next_upload(now_s)
         if entry is not None:
             return self._upload(entry)
-        if not peek and "target" in self.conditions:
-            self._works()  # it answers, and nothing is left that it could refuse
+        if not peek and "target" in self.conditions and self._ledger.counts["waiting"] == 0:
+            self._works()  # nothing is left that it could refuse
         if self._closing:
             return None
         wanted_room = self._settings.keep_percent_free
@@ -187,7 +174,9 @@ class Uploader:
             oldest = self._ledger.next_to_free(
                 now_ns - retention.YOUNGEST_NS,
                 lambda e: (
-                    e.run in self._runs and retention.may_be_freed(e, now_ns) and self._waits.is_over(e.key, now_s)
+                    e.run in self._spool.runs
+                    and retention.may_be_freed(e, now_ns)
+                    and self._waits.is_over(e.key, now_s)
                 ),
             )
             if oldest is not None:
@@ -200,7 +189,7 @@ class Uploader:
 
     def _next_upload(self, now_s: float) -> Entry | None:
         def may(entry: Entry) -> bool:
-            return entry.run in self._runs and self._waits.is_over(entry.key, now_s)
+            return entry.run in self._spool.runs and self._waits.is_over(entry.key, now_s)
 
         def is_due(entry: Entry) -> bool:
             sent_s = self._table_sent_s.get(entry.key)
@@ -212,8 +201,8 @@ class Uploader:
 
     def _idle_s(self, now_s: float) -> float:
         wake_s = [self._scan_at_s, self._disk_at_s, now_s + LONGEST_IDLE_S]
-        if now_s < self._paused_until_s:
-            wake_s.append(self._paused_until_s)
+        if now_s < self._pause.until_s:
+            wake_s.append(self._pause.until_s)
         else:
             wake_s += self._waits.ends_after(now_s)
             if self._settings.recheck_per_hour > 0 and self.stored:
@@ -225,58 +214,16 @@ class Uploader:
     def _scan(self, *, everything: bool) -> Work:
         now_s = self._world.now_s()
         self._scan_at_s = now_s + self._settings.scan_every_s
-        unnameable: list[str] = []
-        try:
-            self._runs, clashes = scan.run_folders(self._runs_dir, self._run_dir)
-            self.conditions.set(
-                "clashes", f"two run folders have one name, rename one: {clashes[0]}" if clashes else ""
-            )
-            yield
-            present = scan.real_path(self._run_dir).name
-            for name, folder in sorted(self._runs.items(), key=lambda item: item[0] != present):
-                if everything or name == present:
-                    yield from self._scan_run(name, folder, unnameable)
-        except scan.SpoolUnreadable as problem:
-            self.conditions.set("spool", str(problem))
-            return
-        self.conditions.clear("spool")
-        if everything:
+        whole = yield from self._spool.look_through(everything=everything)
+        if whole and everything:
             self._scan_all_at_s = now_s + SCAN_ALL_EVERY_S
-            self._give_up_on_runs_that_are_gone()
-        self.conditions.set(
-            "unnameable",
-            f"{len(unnameable)} files have names that are not UTF-8 text and stay where they are: {unnameable[0]}"
-            if unnameable
-            else "",
-        )
-
-    def _give_up_on_runs_that_are_gone(self) -> None:
-        for run, count in self._ledger.waiting_by_run().items():
-            if run not in self._runs:
-                reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
-                self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
-                self.conditions.set(f"run {run}", reason)
-                self._world.say(Event("refused", run, reason=reason))
-
-    def _scan_run(self, name: str, folder: Path, unnameable: list[str]) -> Work:
-        has_new = False
-        for batch in scan.files_of_record(folder, unnameable):
-            changed = self._ledger.see(name, batch)
-            has_new = has_new or any(is_photograph(path) for path in changed)
-            yield
-        log = folder / "frames.jsonl"
-        seen = scan.look_at(folder, log.name)
-        stamp = (seen.size, seen.mtime_ns) if seen else (0, 0)
-        if has_new or self._logs_seen.get(name) != stamp:
-            self._ledger.expect(name, scan.announced_hashes(log))
-            self._logs_seen[name] = stamp
 
     def _clean(self) -> Work:
         """Ask the target whether it is there, and take away what a killed process left behind."""
         with self._connected() as connected:
             if not connected:
                 return
-            for run, path in sorted(self._runs.items()):
+            for run, path in sorted(self._spool.runs.items()):
                 folders = [run, *(f"{run}/{inner}" for inner in scan.folders_of_record(path))]
                 for folder in folders:
                     yield
@@ -286,7 +233,7 @@ class Uploader:
             self._clean_due = False
 
     def _upload(self, entry: Entry) -> Work:
-        source = self._runs[entry.run] / entry.path
+        source = self._spool.runs[entry.run] / entry.path
         destination = _destination(entry)
         order = Order(source, destination, entry.kind, entry.expected, self._ledger.id)
         with self._connected(entry) as connected:
@@ -314,9 +261,9 @@ class Uploader:
             self._say("stored", entry, sha256=done.sha256, bytes=done.size, reason=aside)
 
     def _source_gone(self, entry: Entry, destination: str, reason: str) -> Work:
-        run = self._runs[entry.run]
+        run = self._spool.runs[entry.run]
         if not scan.is_run_folder(run):
-            self._runs.pop(entry.run)
+            self._spool.runs.pop(entry.run)
             self._scan_all_at_s = 0.0  # the next scan tells what is missing
             return
         if entry.sha256 and (yield from hash_at_target(self._target, destination)) == entry.sha256:
@@ -338,7 +285,7 @@ class Uploader:
             found = yield from hash_at_target(self._target, _destination(entry))
             self.totals.rechecked += 1
             if found == entry.sha256:
-                self._ledger.checked(entry, self._world.utc_ns())
+                self._ledger.checked(entry)
                 return
             self.totals.found_damaged += 1
             what = "is missing" if found is None else "is not what was stored there"
@@ -351,7 +298,7 @@ class Uploader:
         with self._connected(entry) as connected:
             if not connected:
                 return
-            source = self._runs[entry.run] / entry.path
+            source = self._spool.runs[entry.run] / entry.path
             now_ns = self._world.utc_ns()
             result = yield from retention.free(entry, source, _destination(entry), self._target, now_ns)
             if result in ("freed", "gone"):
@@ -371,9 +318,13 @@ class Uploader:
             try:
                 self._target.connect()
             except StoreError as problem:
+                self._was_gone = True
                 self._failed(problem, entry)
                 yield False
                 return
+            if self._was_gone:
+                self._was_gone = False
+                self._works()
             yield True
         except StoreError as problem:
             self._failed(problem, entry)
@@ -384,23 +335,18 @@ class Uploader:
         if entry is not None:
             self._waits.begin(entry.key, self._world.now_s())
         if isinstance(problem, TARGET_PROBLEMS) or entry is None:
-            self._pause(problem)
+            self._rest(problem)
         elif not isinstance(problem, SourceChanged):  # still being written: no news, it is tried again
             self._refused(entry, str(problem))
 
-    def _pause(self, problem: StoreError) -> None:
-        now_s = self._world.now_s()
-        self._paused_until_s = now_s + self._backoff.failed()
+    def _rest(self, problem: StoreError) -> None:
         self._clean_due = self._clean_due or not isinstance(problem, LedgerProblem)
         is_news = self.conditions.set("target", str(problem))
-        is_long_ago = self._told_waiting_at_s is None or now_s >= self._told_waiting_at_s + TELL_WAITING_EVERY_S
-        if is_news or is_long_ago:
-            self._told_waiting_at_s = now_s
+        if self._pause.begin(self._world.now_s(), is_news=is_news):
             self._world.say(Event("waiting", destination=self._target.name, reason=str(problem)))
 
     def _works(self) -> None:
-        self._backoff.worked()
-        self._told_waiting_at_s = None
+        self._pause.over()
         self.conditions.clear("target")
 
     def _refused(self, entry: Entry, reason: str) -> None:

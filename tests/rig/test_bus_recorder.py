@@ -114,6 +114,12 @@ def test_rotates_by_size(recording_bus: Any) -> None:
     assert stems == list(range(1, tick + 1))
 
 
+def fill(path: Path) -> None:
+    with path.open("wb", buffering=0) as file:
+        while True:
+            file.write(b"\0" * 4096)
+
+
 def test_full_disk_degrades_and_recovers(recording_bus: Any, tmp_path: Path) -> None:
     bus = recording_bus
     small = tmp_path / "small"
@@ -127,9 +133,8 @@ def test_full_disk_degrades_and_recovers(recording_bus: Any, tmp_path: Path) -> 
         client = bus.client()
         bus.wait_ready(client, "flora-recorder")
         filler = small / "filler"
-        with filler.open("wb", buffering=0) as file, pytest.raises(OSError, match="No space left"):
-            while True:
-                file.write(b"\0" * 4096)
+        with pytest.raises(OSError, match="No space left"):
+            fill(filler)
         for tick in range(1, 200):
             client.publish(Stem(tick=tick, time_s=1.0, outcome="no_stem", reason=os.urandom(100).hex()))
         is_degraded = lambda a: getattr(a.message, "state", "") == "degraded"  # noqa: E731

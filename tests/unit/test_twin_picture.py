@@ -63,7 +63,7 @@ def test_pixels_along_the_true_centreline_are_bright_with_a_plant_and_dark_witho
     line = truth.centreline_px[truth.centreline_cm[:, 1] > 0.5]
     gain = green_at(with_plant, line) - green_at(without, line)
     assert np.percentile(gain, 5) > 51  # 0.2 of full scale, the threshold of the paper's method
-    away = line + (60.0, 0.0)
+    away = line + np.array([60.0, 0.0])
     inside = np.abs(green_at(with_plant, away) - green_at(without, away)) < 40
     assert inside.mean() > 0.6  # leaves may hang there
     far = np.abs(with_plant[:400, 300:1300].astype(int) - without[:400, 300:1300])

@@ -58,14 +58,14 @@ def _leaves(plant: Subject, line: FloatArray, arc: FloatArray) -> list[tuple[Lea
     p, age = plant.parameters, plant.age_h
     out: list[tuple[Leaf, FloatArray]] = []
     tint = 1.0 + 0.12 * p.leaf_hue * np.array([1.0, 0.1, -1.0])
-    grown = _logistic(age, 30.0, 11.0)
+    grown = _logistic(age, 36.0, 11.0)
     at, tangent = _node(line, arc, plant.leaf_nodes_cm[0])
     for i in range(2):
         # The two are never quite alike.
         share = grown * (1.0 if i == 0 else 0.93)
         azimuth = p.leaf_azimuth_rad + np.pi * i + 0.12 * np.sin(5.0 * p.leaf_azimuth_rad + i)
-        petiole, end = _petiole(at, tangent, azimuth, 0.62 - 0.12 * i, (0.35 + 2.3 * share) * p.leaf_scale)
-        length = (1.7 + 3.9 * share) * p.leaf_scale
+        petiole, end = _petiole(at, tangent, azimuth, 0.62 - 0.12 * i, (0.25 + 2.3 * share) * p.leaf_scale)
+        length = (1.1 + 4.5 * share) * p.leaf_scale
         albedo = (share * mesh.LEAF_BGR + (1.0 - share) * mesh.YOUNG_LEAF_BGR) * tint
         pitch = -0.25 - 0.40 * share
         out.append((_blade(end, tangent, azimuth, pitch, length, 0.75 - 0.6 * share, 0.7, albedo), petiole))

@@ -1,0 +1,192 @@
+"""One stem in, one lamp command and one state out. Pure: no clock, no file, no socket.
+
+The same tick asked twice gives the same answer and counts once. Without a usable stem the last light is held for some
+ticks, then the lamps alternate by time; a command given that way always says so.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+
+from flora_common.geometry import STEM_POINTS, FloatArray, Obstacle, Target, clearance_cm, fitness
+from flora_common.messages import ControllerState, LightCommand, Stem
+from flora_common.runs import Light
+from flora_controller.record import Record
+from flora_controller.steering import (
+    Decision,
+    OpenLoopSection,
+    Steering,
+    TipFollowerSection,
+    View,
+    WaypointSection,
+    open_loop_side,
+)
+
+LONGEST_REASON: Final = 500
+
+BuiltIn = Literal["open-loop", "tip-follower", "waypoint", "dark"]
+
+
+class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[controller]``. ``use`` is a built-in name or the path of a ``.controller.json`` file."""
+
+    use: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "open-loop"
+    blind_hold_ticks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 12
+    stop_height_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 21.0
+    open_loop: OpenLoopSection = OpenLoopSection()
+    tip_follower: TipFollowerSection = TipFollowerSection()
+    waypoint: WaypointSection = WaypointSection()
+
+
+class ControllerCore:
+    """Asks a rule, keeps count, and judges the plant.
+
+    Args:
+        steering: the rule.
+        section: blind policy and stop rule.
+        target, obstacle: the task, where there is one.
+        record: where the last start was left.
+    """
+
+    def __init__(
+        self,
+        steering: Steering,
+        section: ControllerSection,
+        *,
+        target: Target | None,
+        obstacle: Obstacle | None,
+        record: Record,
+    ) -> None:
+        self._section = section
+        self._target = target
+        self._obstacle = obstacle
+        self.record = record
+        self.steering = steering
+        self.use(steering)
+
+    def use(self, steering: Steering) -> None:
+        """Steer by this rule from now on. What the plant did so far stays; what the other rule did is dropped."""
+        self.steering = steering
+        identity = f"{steering.name} {steering.sha256}".strip()
+        if self.record.controller != identity:
+            self.record = msgspec.structs.replace(
+                self.record, controller=identity, memory={}, decisions=0, switches=0, best_fitness=None
+            )
+
+    def on_stem(self, stem: Stem, *, note: str = "") -> tuple[LightCommand, ControllerState] | None:
+        """Answer a stem.
+
+        Args:
+            stem: of the present tick, found or not.
+            note: what else people are to be told, such as why a controller file was refused.
+
+        Returns:
+            Command and state; for a tick that was answered before, the very same again; None for an older one.
+        """
+        last = self.record
+        if stem.tick < last.tick or stem.tick == 0:
+            return None
+        if stem.tick == last.tick and last.command is not None and last.said is not None:
+            return last.command, last.said
+        points = usable_points(stem)
+        self._judge(stem, points)
+        decision, blind = self._decide(stem, points)
+        light = decision.light or "dark"
+        command = LightCommand(
+            tick=stem.tick,
+            light=light,
+            time_s=stem.time_s,
+            output=min(max(decision.output, 0.0), 1.0),
+            blind=blind,
+            reason=decision.reason[:LONGEST_REASON],
+        )
+        record = msgspec.structs.replace(
+            self.record,
+            tick=stem.tick,
+            light=light,
+            switches=self.record.switches + (last.light is not None and last.light != light),
+            command=command,
+        )
+        said = self._state(record, stem, points, note)
+        self.record = msgspec.structs.replace(record, said=said)
+        return command, said
+
+    def _decide(self, stem: Stem, points: FloatArray | None) -> tuple[Decision, bool]:
+        record = self.record
+        if points is not None or not self.steering.needs_stem:
+            view = View(stem.time_s, points, record.light)
+            decision = self.steering.decide(view, record.memory)
+        else:
+            said = f"{stem.outcome}: {stem.reason}" if stem.reason else stem.outcome
+            decision = Decision(None, reason=said)
+        blind_ticks = record.blind_ticks + 1 if points is None or decision.light is None else 0
+        self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks)
+        if decision.light is None:
+            return self._blindly(stem.time_s, decision.reason, record.light, blind_ticks), True
+        self.record = msgspec.structs.replace(self.record, memory=dict(decision.memory), decisions=record.decisions + 1)
+        return decision, False
+
+    def _blindly(self, time_s: float, why: str, light: Light | None, blind_ticks: int) -> Decision:
+        since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_REASON - 80]
+        if light is not None and blind_ticks <= self._section.blind_hold_ticks:
+            output = 1.0 if light == "right" else 0.0
+            return Decision(light, output, f"{since}: the last light is held")
+        side = open_loop_side(time_s, self._section.open_loop)
+        hours = self._section.open_loop.hours
+        return Decision(side, float(side == "right"), f"{since}: open-loop schedule, every {hours:g} h in turn")
+
+    def _judge(self, stem: Stem, points: FloatArray | None) -> None:
+        """Fitness, target, collision and the paper's stop rules, from a stem that was found."""
+        if points is None:
+            return
+        record = self.record
+        x, y = float(points[-1, 0]), float(points[-1, 1])
+        over = record.run_over
+        if self._target is not None:
+            now = fitness(x, y, self._target)
+            best = now if record.best_fitness is None else max(now, record.best_fitness)
+            reached = record.target_reached or self._target.contains(x, y)
+            record = msgspec.structs.replace(record, best_fitness=best, target_reached=reached)
+        if self._obstacle is not None:
+            near = clearance_cm(points, self._obstacle)
+            least = near if record.clearance_cm is None else min(near, record.clearance_cm)
+            record = msgspec.structs.replace(record, clearance_cm=least)
+            if near == 0.0 and record.collided_at_s is None:
+                record = msgspec.structs.replace(record, collided_at_s=stem.time_s)
+                over = over or f"run over: the stem touched the obstacle at {stem.time_s / 3600:.1f} h"
+        if y >= self._section.stop_height_cm:
+            reached_cm = self._section.stop_height_cm
+            over = over or f"run over: the tip reached {reached_cm:g} cm at {stem.time_s / 3600:.1f} h"
+        self.record = msgspec.structs.replace(record, run_over=over)
+
+    def _state(self, record: Record, stem: Stem, points: FloatArray | None, note: str) -> ControllerState:
+        tip = None if points is None else (float(points[-1, 0]), float(points[-1, 1]))
+        return ControllerState(
+            tick=stem.tick,
+            controller=self.steering.name[:LONGEST_REASON],
+            sha256=self.steering.sha256,
+            time_s=stem.time_s,
+            fitness=None if tip is None or self._target is None else fitness(*tip, self._target),
+            best_fitness=record.best_fitness,
+            tip_cm=tip,
+            target_reached=record.target_reached,
+            collided=record.collided_at_s is not None,
+            collided_at_s=record.collided_at_s,
+            clearance_cm=record.clearance_cm,
+            blind_ticks=record.blind_ticks,
+            decisions=record.decisions,
+            switches=record.switches,
+            run_over=bool(record.run_over),
+            reason="; ".join(part for part in (note, record.run_over) if part)[:LONGEST_REASON],
+        )
+
+
+def usable_points(stem: Stem) -> FloatArray | None:
+    """Ten finite points of a stem that was found; None for every other outcome."""
+    if stem.outcome != "ok" or len(stem.points_cm) != STEM_POINTS:
+        return None
+    points = np.array(stem.points_cm, dtype=np.float64)
+    return points if np.isfinite(points).all() else None

@@ -1,0 +1,151 @@
+"""Where the steering rule comes from: a built-in name, or a file that may be replaced while it steers.
+
+A file is looked at before each decision. A new one takes over whole, or not at all: what is refused leaves the old one
+at work. The bytes that were accepted last are kept in the state folder, so that a bad file in place of a good one does
+not stop a service that is started again either.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final, get_args
+
+from flora_common.controller_file import SUFFIX, LoadedController, load_controller, parse_controller
+from flora_common.errors import BadController, ConfigError, StoreError
+from flora_common.files import sha256_of_bytes, write_bytes
+from flora_common.geometry import Obstacle, Target
+from flora_common.suggest import did_you_mean
+from flora_controller.core import BuiltIn, ControllerSection
+from flora_controller.evolved import Evolved
+from flora_controller.steering import Dark, OpenLoop, Steering, TipFollower, Waypoint
+
+BUILT_IN: Final[tuple[str, ...]] = get_args(BuiltIn)
+
+_Stamp = tuple[int, int, int, int, int]
+
+
+def built_in(section: ControllerSection, target: Target | None, obstacle: Obstacle | None) -> Steering:
+    """The rule of a built-in name.
+
+    Raises:
+        ConfigError: no such name, or the run lacks what the rule steers by.
+    """
+    if section.use == "open-loop":
+        return OpenLoop(section.open_loop)
+    if section.use == "dark":
+        return Dark()
+    if section.use not in BUILT_IN:
+        raise ConfigError(
+            f"[controller] use: no built-in controller `{section.use[:60]}`{did_you_mean(section.use, BUILT_IN)} "
+            f"(a file's name ends in {SUFFIX})"
+        )
+    if target is None:
+        raise ConfigError(f"controller `{section.use}` steers to a target; give run.toml a section [target]")
+    if section.use == "tip-follower":
+        return TipFollower(target, section.tip_follower)
+    if obstacle is None:
+        raise ConfigError("controller `waypoint` goes round an obstacle; give run.toml a section [obstacle]")
+    if section.waypoint.release_cm < section.waypoint.guard_cm:
+        raise ConfigError("[controller.waypoint]: release_cm must not be less than guard_cm")
+    return Waypoint(target, obstacle, section.waypoint)
+
+
+def kept_file(state_dir: Path, path: Path) -> Path:
+    """Where the accepted bytes of the file at ``path`` are kept: each configured path has its own."""
+    return state_dir / f"accepted-{sha256_of_bytes(os.fsencode(path))[:12]}{SUFFIX}"
+
+
+class FixedSource:
+    """A built-in rule: nothing can replace it."""
+
+    def __init__(self, steering: Steering) -> None:
+        self.steering = steering
+        self.refusal = ""
+
+    def poll(self) -> bool:
+        return False
+
+
+class FileSource:
+    """A controller file.
+
+    Args:
+        path: the file, or a link to it.
+        kept: where the bytes that were accepted last are kept.
+        target, obstacle: the run's task.
+
+    Attributes:
+        steering: the rule now in force.
+        refusal: why what lies at ``path`` now is not in force; empty where it is.
+
+    Raises:
+        BadController: it cannot steer, and none was accepted before.
+    """
+
+    def __init__(self, path: Path, kept: Path, *, target: Target | None, obstacle: Obstacle | None) -> None:
+        self._path = path
+        self._kept = kept
+        self._target = target
+        self._obstacle = obstacle
+        self.refusal = ""
+        self._stamp = _stamp_of(path)
+        try:
+            self.steering = self._checked(load_controller(path))
+            self._keep()
+        except BadController as problem:
+            self.steering = self._accepted_before(problem)
+            self.refusal = _refused(problem)
+
+    def poll(self) -> bool:
+        """Look at the file; True where another rule has taken over."""
+        stamp = _stamp_of(self._path)
+        if stamp == self._stamp:
+            return False
+        self._stamp = stamp
+        try:
+            steering = self._checked(load_controller(self._path))
+        except BadController as problem:
+            self.refusal = _refused(problem)
+            return False
+        self.refusal = ""
+        is_other = steering.sha256 != self.steering.sha256
+        self.steering = steering
+        if is_other:
+            self._keep()
+        return is_other
+
+    def _checked(self, loaded: LoadedController) -> Evolved:
+        steering = Evolved(loaded, self._target, self._obstacle, self._path.name)
+        steering.check()
+        return steering
+
+    def _keep(self) -> None:
+        try:
+            if not self._kept.is_file() or sha256_of_bytes(self._kept.read_bytes()) != self.steering.sha256:
+                write_bytes(self._kept, self.steering.loaded.data)
+        except (OSError, StoreError) as problem:
+            self.refusal = f"in force, but a copy cannot be kept: {problem}"
+
+    def _accepted_before(self, problem: BadController) -> Evolved:
+        try:
+            data = self._kept.read_bytes()
+        except OSError:
+            raise problem from None
+        try:
+            return self._checked(parse_controller(data, where=str(self._kept)))
+        except BadController:
+            raise problem from None
+
+
+def _stamp_of(path: Path) -> _Stamp | None:
+    """Changes whenever the file, or what the link leads to, is replaced or written to; None where there is none."""
+    try:
+        status = os.stat(path)  # noqa: PTH116 - all five fields of one look
+    except (OSError, ValueError):
+        return None
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def _refused(problem: BadController) -> str:
+    return f"refused, the one before goes on: {problem}"

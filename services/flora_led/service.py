@@ -1,0 +1,142 @@
+"""Commands in, light out, and what is really lit said aloud."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from flora_common.errors import LampsDead
+from flora_common.messages import Lamps, LightCommand, Setup, Tick
+from flora_common.service import App, Timer
+from flora_led.backends import Strips
+from flora_led.core import DARK, Fallback, Lease, Wanted, current_a, lit, shown
+
+SETUP_LEASE_S: Final = 60.0
+"""A setup run that has said nothing for so long, in real seconds, is over."""
+AGAIN_S: Final = 5.0
+SHORTEST_LOOK_S: Final = 1.0
+LONGEST_LOOK_S: Final = 30.0
+
+Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
+
+
+class LedSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[led]``. The lease guards the plant, so it is in rig time. ``twin`` is that of ``[rig.clock]`` unless stated.
+
+    ``colour`` is red, green, blue; bending answers to blue, the rest lets the plant and people see.
+    """
+
+    backend: Literal["neopixel", "virtual"] = "neopixel"
+    pin: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)] = "D18"
+    twin: str = ""
+    colour: tuple[Level, Level, Level] = (90, 60, 255)
+    current_cap_a: Annotated[float, msgspec.Meta(ge=0.5, le=100.0)] = 8.0
+    lease_s: Annotated[float, msgspec.Meta(gt=0.0, le=604_800.0)] = 900.0
+    fallback: Fallback = "dark"
+
+
+class LedService:
+    """One command after the other, each confirmed from the bytes.
+
+    Args:
+        app: the running service.
+        strips: where the bytes go.
+    """
+
+    def __init__(self, app: App[LedSection], strips: Strips) -> None:
+        self._app = app
+        self._strips = strips
+        self._lease = Lease(app.config.lease_s, app.config.fallback)
+        self._ready = False
+        self._now: Wanted | None = None
+        """What shines; None where the last write failed."""
+        self._timers: dict[str, Timer] = {}
+        app.on(LightCommand, self._command)
+        app.on(Setup, self._setup)
+        app.on(Tick, lambda _: self._look(again=True))
+        app.on_ready(self._resume)
+        app.on_exit(self._leave_dark)
+        self._strips.show(DARK, DARK)
+
+    def _resume(self) -> None:
+        """The bus has handed over what it kept."""
+        self._ready = True
+        self._shine(self._wanted())
+        self._look_later()
+
+    def _wanted(self) -> Wanted:
+        return self._lease.wanted(self._app.clock.mono_ns())
+
+    def _command(self, command: LightCommand) -> None:
+        self._lease.command(command, self._app.clock.mono_ns())
+        if not self._lease.in_setup:
+            self._shine(self._wanted())
+
+    def _setup(self, setup: Setup) -> None:
+        was_active = self._lease.in_setup
+        self._lease.setup(setup)
+        self._cancel("setup")
+        if setup.active:
+            self._timers["setup"] = self._app.after(SETUP_LEASE_S, self._setup_silent)
+        if setup.active or was_active:
+            self._shine(self._wanted())
+
+    def _setup_silent(self) -> None:
+        self._app.log.warning("setup_run_silent", after_s=SETUP_LEASE_S)
+        self._lease.setup(None)
+        self._shine(self._wanted())
+
+    def _look(self, *, again: bool = False) -> None:
+        """Has the lease run out? ``again``: a fallback that lasts is told once more."""
+        wanted = self._wanted()
+        if wanted != self._now or (again and wanted.fallback):
+            self._shine(wanted)
+
+    def _look_later(self) -> None:
+        """By real time too: the beat may be what has died."""
+        self._look()
+        real_s = self._app.clock.real_s_until(self._lease.until_ns)
+        self._app.after(min(LONGEST_LOOK_S, max(SHORTEST_LOOK_S, real_s)), self._look_later)
+
+    def _shine(self, wanted: Wanted) -> None:
+        """Write, read back, confirm; a command that shines already is only confirmed again."""
+        if not self._ready:
+            return
+        self._cancel("again")
+        left, right, scale = shown(wanted.light, self._app.config.colour, self._app.config.current_cap_a)
+        try:
+            grb = self._strips.show(left, right)
+        except LampsDead as problem:
+            self._now = None
+            self._app.trouble("strips", str(problem))
+            self._timers["again"] = self._app.after(AGAIN_S, self._look)
+            return
+        self._now = wanted
+        self._app.trouble("strips", "")
+        is_over = wanted.fallback and self._lease.until_ns > 0
+        self._app.trouble("lease", f"{wanted.reason}: fallback {wanted.light}" if is_over else "")
+        self._app.publish(
+            Lamps(
+                tick=wanted.tick,
+                lit=lit(grb),
+                commanded=wanted.commanded,
+                current_a=current_a(grb),
+                scale=scale,
+                fallback=wanted.fallback,
+                setup_step=wanted.setup_step,
+                reason=wanted.reason,
+            )
+        )
+
+    def _leave_dark(self) -> None:
+        try:
+            self._strips.show(DARK, DARK)
+        except LampsDead as problem:
+            self._app.log.problem("strips_not_dark", str(problem))
+        self._strips.close()
+
+    def _cancel(self, key: str) -> None:
+        timer = self._timers.pop(key, None)
+        if timer is not None:
+            timer.cancel()

@@ -1,0 +1,104 @@
+"""The spool as the ledger is told of it: by looking through it, and by what the camera announces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+from flora_uploader import scan
+from flora_uploader.conditions import Conditions
+from flora_uploader.ledger import Ledger
+from flora_uploader.model import Event
+from flora_uploader.policy import is_of_record, is_photograph
+
+Work = Generator[None, None, None]
+
+
+class Spool:
+    """All run folders beside the rig's present one.
+
+    Args:
+        runs_dir: folder with run folders.
+        run_dir: the rig's present run folder.
+        ledger: is told what is there.
+        conditions: are told what is wrong.
+        say: hears of run folders that went away with files that were not stored.
+
+    Attributes:
+        runs: run folders by name, as last seen.
+    """
+
+    def __init__(
+        self, runs_dir: Path, run_dir: Path, ledger: Ledger, conditions: Conditions, say: Callable[[Event], None]
+    ) -> None:
+        self.runs: dict[str, Path] = {}
+        self._runs_dir = runs_dir
+        self._run_dir = run_dir
+        self._ledger = ledger
+        self._conditions = conditions
+        self._say = say
+        self._logs_seen: dict[str, tuple[int, int]] = {}
+
+    def hear(self, run: str, path: str, sha256: str) -> None:
+        """A photograph was announced.
+
+        Raises:
+            StoreError: the spool cannot be read or the ledger not written; the next scan finds the file.
+        """
+        folder = self.runs.get(run)
+        if folder is None:
+            folder = scan.real_path(self._run_dir)
+            if run not in (folder.name, self._run_dir.name) or not scan.is_run_folder(folder):
+                return
+            self.runs[folder.name] = folder
+        if not all(is_of_record(part) for part in Path(path).parts):
+            return
+        found = scan.look_at(folder, path)
+        if found is None:
+            return
+        self._ledger.see(folder.name, [found])
+        if is_photograph(path):
+            self._ledger.expect(folder.name, {path: sha256})
+
+    def look_through(self, *, everything: bool) -> Generator[None, None, bool]:
+        """Tell the ledger of the present run, or of all. Returns whether it came to its end."""
+        unnameable: list[str] = []
+        try:
+            self.runs, clashes = scan.run_folders(self._runs_dir, self._run_dir)
+            two = f"two run folders have one name, rename one: {clashes[0]}" if clashes else ""
+            self._conditions.set("clashes", two)
+            yield
+            present = scan.real_path(self._run_dir).name
+            for name, folder in sorted(self.runs.items(), key=lambda item: item[0] != present):
+                if everything or name == present:
+                    yield from self._look_through_run(name, folder, unnameable)
+        except scan.SpoolUnreadable as problem:
+            self._conditions.set("spool", str(problem))
+            return False
+        self._conditions.clear("spool")
+        if everything:
+            self._give_up_on_runs_that_are_gone()
+            text = f"{len(unnameable)} files have names that are not UTF-8 text and are not sent: "
+            self._conditions.set("unnameable", text + unnameable[0] if unnameable else "")
+        return True
+
+    def _look_through_run(self, name: str, folder: Path, unnameable: list[str]) -> Work:
+        has_new = False
+        for batch in scan.files_of_record(folder, unnameable):
+            changed = self._ledger.see(name, batch)
+            has_new = has_new or any(is_photograph(path) for path in changed)
+            yield
+        log = folder / "frames.jsonl"
+        seen = scan.look_at(folder, log.name)
+        stamp = (seen.size, seen.mtime_ns) if seen else (0, 0)
+        if has_new or self._logs_seen.get(name) != stamp:
+            self._ledger.expect(name, scan.announced_hashes(log))
+            self._logs_seen[name] = stamp
+
+    def _give_up_on_runs_that_are_gone(self) -> None:
+        for run, count in self._ledger.waiting_by_run().items():
+            if run not in self.runs:
+                reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
+                self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
+                self._conditions.set(f"run {run}", reason)
+                self._say(Event("refused", run, reason=reason))

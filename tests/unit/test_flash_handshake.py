@@ -1,0 +1,412 @@
+"""Tick, light, photograph, dark: with a lamp of ours and time that the test moves."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from device_fakes import FakeApp
+
+from flora_common.clock import NS, FakeClock, LeaderClock
+from flora_common.errors import BadInput, DiskFull, FlashDead
+from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
+from flora_flash import handshake
+from flora_flash.backends import NoLamp
+from flora_flash.core import Beat, BeatState, Reading
+from flora_flash.handshake import FlashSection, FlashService
+from flora_flash.main import read_state
+
+SHA = "0" * 64
+
+
+class FakeLamp:
+    excuse = "the bulb stays dark"
+
+    def __init__(self) -> None:
+        self.on = False
+        self.is_broken = self.is_gone = self.is_closed = False
+
+    def switch(self, on: bool) -> bool:
+        if self.is_gone:
+            raise FlashDead("no answer")
+        self.on = on and not self.is_broken
+        return self.on
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class Rig:
+    """A flash service, and starts of it one after the other over the same state."""
+
+    def __init__(self, folder: Path, **config: Any) -> None:
+        self.folder = folder
+        self.config = FlashSection(**config)
+        self.lamp: Any = FakeLamp()
+        self.clock: Any = FakeClock(mono_ns=1000 * NS)
+
+    def start(self, *kept: Any) -> FakeApp:
+        app = FakeApp(self.folder, self.config, clock=self.clock)
+        now = Reading(self.clock.mono_ns(), self.clock.utc_ns(), "boot")
+        state = read_state(app.state_dir / "flash.json", app.run)
+        box_time = not isinstance(self.clock, FakeClock)
+        FlashService(app, self.lamp, Beat(300.0, run="run", state=state, now=now, box_time=box_time), boot_id="boot")  # type: ignore[arg-type]
+        app.hear(*kept)
+        app.ready()
+        return app
+
+    @property
+    def number(self) -> int:
+        return msgspec.json.decode((self.folder / "state" / "flash.json").read_bytes(), type=BeatState).tick
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Callable[..., Rig]:
+    return lambda **config: Rig(tmp_path, **config)
+
+
+def lock_step() -> LeaderClock:
+    return LeaderClock(0.0, lambda until_s: (round(until_s * NS), round((1e9 + until_s) * NS)), mono_ns=0, utc_ns=NS)
+
+
+def frame(tick: int) -> Frame:
+    return Frame(
+        tick=tick, time_s=0.0, path=f"frames/{tick:06d}.jpg", run="run", sha256=SHA, bytes=1, width_px=1, height_px=1,
+        light="dark", flash_confirmed=True, exposure_ok=True,
+    )  # fmt: skip
+
+
+def test_a_tick_from_beginning_to_end(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    tick, flash = app.said
+    assert isinstance(tick, Tick)
+    assert isinstance(flash, Flash)
+    assert (tick.tick, flash.tick, flash.lit, flash.confirmed, r.number) == (1, 1, True, True, 1)
+    assert r.lamp.on
+    app.hear(frame(1))
+    assert not r.lamp.on
+    assert (app.said[-1].lit, app.said[-1].confirmed) == (False, True)
+    app.pass_s(299.9)
+    assert len(app.heard(Tick)) == 1
+    app.pass_s(0.2)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2]
+
+
+def test_a_missed_frame_ends_the_light_too(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    app.hear(FrameMissed(tick=1, time_s=0.0, because="camera_hung", reason="x"))
+    assert not r.lamp.on
+    assert "camera_hung" in app.said[-1].reason
+
+
+def test_no_word_at_all_ends_the_light_after_the_time_out(rig: Callable[..., Rig]) -> None:
+    r = rig(frame_timeout_s=45.0)
+    app = r.start()
+    app.hear(frame(7))  # of another tick
+    app.pass_s(44.0)
+    assert r.lamp.on
+    app.pass_s(1.5)
+    assert not r.lamp.on
+    assert "45 s" in app.said[-1].reason
+    assert "frame" in app.troubles
+    app.pass_s(280.0)
+    app.hear(frame(2))
+    assert app.troubles == {}
+
+
+@pytest.mark.parametrize("fault", ["is_broken", "is_gone"])
+def test_a_lamp_that_does_not_light_is_told_and_the_tick_goes_on(rig: Callable[..., Rig], fault: str) -> None:
+    r = rig()
+    setattr(r.lamp, fault, True)
+    app = r.start()
+    flash = app.said[-1]
+    assert (flash.lit, flash.confirmed) == (True, False)
+    assert flash.reason
+    assert "lamp" in app.troubles
+    setattr(r.lamp, fault, False)
+    app.hear(frame(1))
+    assert app.troubles == {}
+
+
+def test_a_lamp_that_does_not_go_dark_is_told_again_and_again(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    r.lamp.is_gone = True
+    app.hear(frame(1))
+    assert (app.said[-1].lit, app.said[-1].confirmed) == (False, False)
+    r.lamp.is_gone = False
+    assert r.lamp.on
+    app.pass_s(6.0)
+    assert not r.lamp.on
+
+
+def test_a_rig_without_a_lamp_is_not_degraded(rig: Callable[..., Rig]) -> None:
+    r = rig(backend="none")
+    r.lamp = NoLamp()
+    app = r.start()
+    assert (app.said[-1].confirmed, app.troubles) == (False, {})
+    assert "no flash lamp" in app.said[-1].reason
+
+
+def test_dark_however_it_ends(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    assert r.lamp.on
+    app.leave()
+    assert not r.lamp.on
+    assert r.lamp.is_closed
+
+
+def test_the_number_is_on_the_disk_before_it_is_said(rig: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    real = handshake.write_text
+    monkeypatch.setattr(handshake, "write_text", lambda p, t: (order.append("written"), real(p, t)))
+    monkeypatch.setattr(FakeApp, "publish", lambda self, m: order.append(type(m).__name__))
+    rig().start()
+    assert order == ["written", "Tick", "Flash"]
+
+
+@pytest.mark.parametrize("error", [DiskFull("full"), OSError(errno.EROFS, "read-only")])
+def test_a_full_disk_does_not_stop_the_beat(
+    rig: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def refuse(*_: object) -> None:
+        raise error
+
+    r = rig()
+    app = r.start()
+    app.hear(frame(1))
+    with monkeypatch.context() as patch:
+        patch.setattr(handshake, "write_text", refuse)
+        app.pass_s(300.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2]
+    assert "state" in app.troubles
+    app.hear(frame(2))
+    again = r.start(*[app.heard(kind)[-1] for kind in (Tick, Flash)], frame(2))  # the bus knows what the file does not
+    assert again.heard(Tick) == []
+    again.pass_s(299.0)
+    assert again.heard(Tick) == []
+    again.pass_s(2.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(3, pytest.approx(600.0, abs=2.0))]
+
+
+def test_killed_before_it_was_announced_the_tick_is_announced(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.start()
+    r.clock.advance(2.0)
+    again = r.start()  # the bus has kept nothing
+    assert [(t.tick, t.time_s, t.late_s) for t in again.heard(Tick)] == [(1, 2.0, 2.0)]
+    assert again.heard(Flash)[-1].lit
+
+
+def test_a_tick_from_long_ago_is_not_taken_up_again(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.start()
+    r.clock.advance(86_400.0)
+    again = r.start()
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(2, 86_400.0)]
+
+
+def test_killed_before_the_lamp_was_lit_it_is_lit(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    first = r.start()
+    again = r.start(first.heard(Tick)[0])
+    assert again.heard(Tick) == []
+    assert again.heard(Flash)[-1].lit
+
+
+def test_killed_while_the_photograph_was_taken_it_waits_in_the_dark(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    first = r.start()
+    r.lamp.on = False  # as ExecStopPost leaves it
+    again = r.start(*first.said)
+    assert [f.lit for f in again.heard(Flash)] == [False]
+    assert again.heard(Tick) == []
+    again.hear(frame(1))
+    again.pass_s(300.0)
+    assert [t.tick for t in again.heard(Tick)] == [2]
+
+
+def test_killed_after_the_photograph_it_goes_on_with_the_next_tick(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    first = r.start()
+    r.clock.advance(100.0)
+    again = r.start(*first.said, frame(1))
+    assert again.said == []
+    again.pass_s(199.0)
+    assert again.said == []
+    again.pass_s(2.0)
+    assert [t.tick for t in again.heard(Tick)] == [2]
+
+
+def test_lock_step_moves_on_when_the_lamps_have_answered(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.clock = lock_step()
+    app = r.start()
+    app.hear(frame(1))
+    app.pass_real_s(1.0)
+    assert len(app.heard(Tick)) == 1
+    app.hear(Lamps(tick=0, lit="left", commanded="left"))
+    app.pass_real_s(1.0)
+    assert len(app.heard(Tick)) == 1
+    app.hear(Lamps(tick=1, lit="left", commanded="left"))
+    app.pass_real_s(0.0)
+    assert [t.time_s for t in app.heard(Tick)] == [0.0, 300.0]
+
+
+def test_lock_step_waits_for_both_lamps_and_photograph(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.clock = lock_step()
+    app = r.start()
+    app.hear(Lamps(tick=1, lit="left", commanded="left"))
+    app.pass_real_s(1.0)
+    assert len(app.heard(Tick)) == 1
+    app.hear(frame(1))
+    app.pass_real_s(0.0)
+    assert len(app.heard(Tick)) == 2
+
+
+def test_lock_step_goes_on_with_a_warning_when_nobody_answers(rig: Callable[..., Rig]) -> None:
+    r = rig(answer_timeout_s=60.0)
+    r.clock = lock_step()
+    app = r.start()
+    app.hear(frame(1))
+    app.pass_real_s(59.0)
+    assert len(app.heard(Tick)) == 1
+    app.pass_real_s(1.5)
+    assert len(app.heard(Tick)) == 2
+    assert "answer" in app.troubles
+    app.hear(frame(2), Lamps(tick=2, lit="left", commanded="left"))
+    assert app.troubles == {}
+
+
+def test_lock_step_killed_while_it_waits_for_the_lamps(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.clock = lock_step()
+    first = r.start()
+    first.hear(frame(1))
+    again = r.start(*[first.heard(k)[-1] for k in (Tick, Flash)], frame(1))
+    again.pass_real_s(1.0)
+    assert [t.tick for t in again.heard(Tick)] == []
+    again.hear(Lamps(tick=1, lit="left", commanded="left"))
+    again.pass_real_s(0.0)
+    assert [t.tick for t in again.heard(Tick)] == [2]
+
+
+def test_a_box_that_does_not_answer_is_asked_again(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    answers: list[bool] = [False, True]
+
+    def wait(until_s: float) -> tuple[int, int]:
+        if not answers.pop(0):
+            raise FlashDead("gone")
+        return round(until_s * NS), NS
+
+    r.clock = LeaderClock(0.0, wait, mono_ns=0, utc_ns=NS)
+    app = r.start()
+    app.hear(frame(1), Lamps(tick=1, lit="left", commanded="left"))
+    app.pass_real_s(0.5)
+    assert "clock" in app.troubles
+    app.pass_real_s(1.0)
+    assert app.troubles == {}
+    assert len(app.heard(Tick)) == 2
+
+
+def setup(step: int, *, active: bool = True, shot: str = "left.jpg", session: str = "0000000a") -> Setup:
+    return Setup(active=active, step=step, steps=2, lamps="left", shot=shot, session=session)
+
+
+def setup_lamps(step: int) -> Lamps:
+    return Lamps(lit="left", commanded="left", setup_step=step)
+
+
+def background(tick: int) -> Frame:
+    return msgspec.structs.replace(frame(tick), purpose="background", path="background/left.jpg")
+
+
+def test_a_setup_run_gets_one_picture_per_step_and_the_beat_rests(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    app.hear(setup(1), setup_lamps(1))
+    assert len(app.heard(Tick)) == 1  # the tick that is under way ends first
+    app.hear(frame(1))
+    assert (app.heard(Tick)[-1].tick, app.heard(Tick)[-1].purpose, app.heard(Flash)[-1].shot) == (
+        2,
+        "background",
+        "left.jpg",
+    )
+    app.hear(background(2), setup(1), setup_lamps(1))  # told again: done once
+    assert len(app.heard(Tick)) == 2
+    app.hear(setup(2, shot="right.jpg"), setup_lamps(1))
+    assert len(app.heard(Tick)) == 2  # these lamps are the last step's
+    app.hear(setup_lamps(2))
+    assert app.heard(Tick)[-1].shot == "right.jpg"
+    app.hear(background(3))
+    for _ in range(40):
+        app.pass_s(30.0)
+        app.hear(setup(2, shot="right.jpg"))
+    assert len(app.heard(Tick)) == 3
+    app.hear(setup(0, active=False))
+    app.pass_real_s(0.0)
+    assert (app.heard(Tick)[-1].purpose, app.heard(Tick)[-1].skipped) == ("run", 3)
+
+
+def test_a_setup_run_that_has_died_is_over_after_a_minute(rig: Callable[..., Rig]) -> None:
+    app = rig().start()
+    app.hear(setup(1), frame(1))
+    app.pass_s(300.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2]
+
+
+def test_a_step_whose_picture_failed_is_tried_when_the_lamps_confirm_again(rig: Callable[..., Rig]) -> None:
+    app = rig().start(setup(1), setup_lamps(1))
+    assert [t.purpose for t in app.heard(Tick)] == ["background"]
+    app.hear(FrameMissed(tick=1, time_s=0.0, because="disk_full", reason="x", purpose="background", shot="left.jpg"))
+    app.pass_real_s(5.0)
+    assert len(app.heard(Tick)) == 1
+    app.hear(setup_lamps(1))
+    assert [t.tick for t in app.heard(Tick)] == [1, 2]
+
+
+def test_a_restart_does_not_take_a_steps_picture_twice(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    first = r.start(setup(1), setup_lamps(1))
+    first.hear(background(1))
+    again = r.start(*[first.heard(k)[-1] for k in (Tick, Flash)], background(1), setup(1), setup_lamps(1))
+    assert again.heard(Tick) == []
+
+
+def test_the_beat_can_wait_for_pictures_of_the_empty_setup(rig: Callable[..., Rig], tmp_path: Path) -> None:
+    app = rig(wait_for_background=True).start()
+    app.pass_s(1000.0)
+    assert app.said == []
+    (tmp_path / "run" / "background").mkdir()
+    (tmp_path / "run" / "background" / "dark.jpg").write_bytes(b"x")
+    app.pass_s(1.0)
+    assert app.heard(Tick)[0].time_s == 0.0
+
+
+def test_a_damaged_state_file_is_one_clear_line(rig: Callable[..., Rig], tmp_path: Path) -> None:
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "flash.json").write_text('{"tick": -3}')
+    with pytest.raises(BadInput, match=r"flash\.json: damaged .*remove it"):
+        rig().start()
+
+
+def test_without_a_state_file_numbers_go_on_after_the_photographs(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    app.run.frames.mkdir()
+    for number in (1, 2, 3):
+        (app.run.frames / f"{number:06d}.jpg").write_bytes(b"x")
+        app.run.append_frame(f"frames/{number:06d}.jpg", 300.0 * (number - 1), "dark")
+    (app.state_dir / "flash.json").unlink()
+    again = r.start(frame(3))
+    again.pass_s(0.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(4, 900.0)]

@@ -1,0 +1,270 @@
+"""Recordings on disk: whole, cut, damaged, on a full disk; with no bus."""
+
+from __future__ import annotations
+
+import errno
+import random
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from flora_common import recording
+from flora_common.bus import Arrival
+from flora_common.clock import FakeClock
+from flora_common.errors import BadInput, DiskFull
+from flora_common.messages import Message, Recording, Stem, Tick, encode
+from flora_common.recording import OPEN_SUFFIX, UNREADABLE, RecordingWriter
+from flora_common.recording_reader import Recorded, RecordingReader, recover
+from flora_recorder.core import Limits, Recorder
+
+
+def arrival(message: Message, *, seq: int, rig: str = "box1") -> Arrival:
+    stamped = msgspec.structs.replace(message, seq=seq, t_utc_ns=1_700_000_000_000_000_000 + seq, source="test")
+    return Arrival(encode(rig, stamped), "good", rig, stamped)
+
+
+def stem(seq: int) -> Arrival:
+    points = tuple((random.Random(seq + i).uniform(-5, 5), 2.0 * i) for i in range(10))
+    return arrival(Stem(tick=seq, time_s=300.0 * seq, outcome="ok", points_cm=points), seq=seq)
+
+
+def read(path: Path) -> tuple[list[Recorded], str]:
+    reader = RecordingReader(path)
+    return list(reader), reader.problem
+
+
+def written(path: Path, count: int, *, flush_every: int = 100) -> Path:
+    """An open recording of ``count`` stems as a crash would leave it: flushed, not finished."""
+    writer = RecordingWriter(path)
+    for seq in range(1, count + 1):
+        writer.add(stem(seq), utc_ns=0)
+        if seq % flush_every == 0:
+            writer.flush()
+    writer.flush()
+    writer._file.close()
+    return writer.open_path
+
+
+def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap", metadata={"run": "bean-07"})
+    sent = [stem(seq) for seq in range(1, 50)]
+    for one in sent:
+        writer.add(one, utc_ns=0)
+    writer.add(Arrival([b"box1/tick", b"\xc1", b"0"], "bad", reason="tick: not msgpack"), utc_ns=77, rig="box1")
+    writer.add(Arrival(sent[0].parts, "repeated", "box1", sent[0].message), utc_ns=0)
+    assert not (tmp_path / "a.mcap").exists()
+    path = writer.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+    recorded, problem = read(path)
+    assert problem == ""
+    assert [r.payload for r in recorded[:-1]] == [a.parts[1] for a in sent]
+    assert [r.sequence for r in recorded[:-1]] == list(range(1, 50))
+    assert recorded[-1].topic == f"box1/{UNREADABLE}"
+    assert recorded[-1].log_time_ns == 77
+    assert not recorded[-1].is_readable
+    assert (writer.messages, writer.bad) == (50, 1)
+
+
+def test_other_readers_find_schema_channel_and_index(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    writer.add(stem(1), utc_ns=0)
+    writer.add(Arrival([b"x", b"y"], "bad", reason="2 frames"), utc_ns=5)
+    path = writer.close()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        channels = {c.topic: c for c in summary.channels.values()}
+        assert set(channels) == {"box1/stem", UNREADABLE}
+        for channel in channels.values():  # PlotJuggler looks each schema up without asking whether there is one
+            schema = summary.schemas[channel.schema_id]
+            assert schema.encoding == "jsonschema"
+            assert "$defs" in msgspec.json.decode(schema.data)
+            assert channel.message_encoding == "msgpack"
+        assert channels["box1/stem"].metadata == {"owner": "flora-stem", "version": "1"}
+        messages = list(reader.iter_messages(topics=["box1/stem"]))
+    assert len(messages) == 1
+    assert msgspec.msgpack.decode(messages[0][2].data)["outcome"] == "ok"
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.9, 0.99])
+def test_cut_file_gives_back_what_was_whole(tmp_path: Path, share: float) -> None:
+    count = 2000
+    open_path = written(tmp_path / "a.mcap", count)
+    size = open_path.stat().st_size
+    with open_path.open("r+b") as file:
+        file.truncate(int(size * share))
+    found = recover(open_path)
+    assert found.path == tmp_path / "a.mcap"
+    assert found.problem.startswith("not readable after byte")
+    recorded, problem = read(found.path)
+    assert problem == ""
+    assert len(recorded) == found.messages
+    # Chunks of 100: at most one is torn, and what comes before it is complete and in order.
+    assert share * count - 200 < len(recorded) <= share * count + 100
+    assert [r.sequence for r in recorded] == list(range(1, len(recorded) + 1))
+    assert not open_path.exists()
+
+
+def test_recovering_twice_and_after_a_kill_in_between_is_the_same(tmp_path: Path) -> None:
+    open_path = written(tmp_path / "a.mcap", 300)
+    left = open_path.read_bytes()
+    recover(open_path)
+    first = (tmp_path / "a.mcap").read_bytes()
+    open_path.write_bytes(left)  # as if killed after the rename, before the open file was removed
+    found = recover(open_path)
+    assert found.messages == 300
+    assert (tmp_path / "a.mcap").read_bytes() == first
+
+
+def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
+    open_path = written(tmp_path / "a.mcap", 60, flush_every=20)
+    good = open_path.read_bytes()
+    payloads = {r.payload for r in RecordingReader(open_path)}
+    draw = random.Random(1)
+    for _ in range(400):
+        data = bytearray(good)
+        data[draw.randrange(8, len(data))] ^= 1 << draw.randrange(8)
+        open_path.write_bytes(data)
+        recorded, problem = read(open_path)
+        assert problem  # the end of file is missing in any case; what counts is that nothing else is raised
+        assert {r.payload for r in recorded} <= payloads
+
+
+def test_empty_and_hopeless_left_overs(tmp_path: Path) -> None:
+    empty = tmp_path / "a.mcap.open"
+    empty.touch()
+    assert recover(empty).path is None
+    assert not empty.exists()
+    nothing_said = written(tmp_path / "b.mcap", 0)
+    assert recover(nothing_said).path is None
+    assert not nothing_said.exists()
+    rubbish = tmp_path / "c.mcap.open"
+    rubbish.write_bytes(b"rubbish" * 1000)
+    found = recover(rubbish)
+    assert found.path == tmp_path / "c.mcap.damaged"
+    torn_first_chunk = written(tmp_path / "d.mcap", 500, flush_every=1000)
+    with torn_first_chunk.open("r+b") as file:
+        file.truncate(torn_first_chunk.stat().st_size // 2)
+    assert recover(torn_first_chunk).path == tmp_path / "d.mcap.damaged"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.mcap.damaged", "d.mcap.damaged"]
+
+
+def test_length_bombs_are_refused_before_memory_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + b"\x06" + (2**40).to_bytes(8, "little") + b"x" * 100)
+    recorded, problem = read(path)
+    assert recorded == []
+    assert "not readable after byte" in problem
+
+
+def test_file_that_is_no_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("time_s,light\n")
+    with pytest.raises(BadInput, match=r"a\.mcap: not an MCAP file"):
+        RecordingReader(path)
+    with pytest.raises(BadInput, match=r"none\.mcap: cannot be read \(No such file or directory\)"):
+        RecordingReader(tmp_path / "none.mcap")
+    with pytest.raises(BadInput, match=r"a\.mcap: exists already; choose another name"):
+        RecordingWriter(path)
+
+
+def full(times: int) -> Any:
+    """A disk that takes half of what is written and then says that it is full, so many times."""
+    real = recording._write_all
+    left = times
+
+    def write_all(file: Any, data: bytearray) -> None:
+        nonlocal left
+        if left > 0:
+            left -= 1
+            real(file, data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(file, data)
+
+    return write_all
+
+
+def test_full_disk_leaves_no_torn_bytes_and_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    writer.add(stem(1), utc_ns=0)
+    writer.flush()
+    size = writer.open_path.stat().st_size
+    monkeypatch.setattr(recording, "_write_all", full(3))
+    for seq in (2, 3, 4):
+        writer.add(stem(seq), utc_ns=0)
+        with pytest.raises(DiskFull, match=r"a\.mcap\.open: no room on the disk; free some space"):
+            writer.flush()
+        assert writer.open_path.stat().st_size == size
+    writer.flush()
+    recorded, problem = read(writer.close())
+    assert ([r.sequence for r in recorded], problem) == ([1, 2, 3, 4], "")
+
+
+def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "MAX_PENDING_BYTES", 20_000)
+    monkeypatch.setattr(recording, "CHUNK_BYTES", 4096)
+    monkeypatch.setattr(recording, "_write_all", full(10**9))
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    for seq in range(1, 1000):
+        writer.add(stem(seq), utc_ns=0)
+    assert writer.lost > 0
+    assert writer.messages + writer.lost == 999
+    assert writer.bytes < 60_000
+    with pytest.raises(DiskFull):
+        writer.close()
+    assert writer.open_path.exists()
+
+
+def make_recorder(folder: Path, clock: FakeClock, said: list[Recording], **limits: int) -> Recorder:
+    bounds = {"rotate_bytes": 1 << 20, "rotate_ns": 3600 * 10**9} | limits
+    return Recorder(folder, rig="box1", limits=Limits(**bounds), clock=clock, say=said.append)
+
+
+def test_recorder_rotates_by_rig_time_and_never_takes_a_name_twice(tmp_path: Path) -> None:
+    clock, said = FakeClock(), []
+    recorder = make_recorder(tmp_path, clock, said)
+    for seq in range(1, 7):
+        recorder.hear(stem(seq))
+        clock.advance(1800)
+        clock.jump_utc(-1800)  # the wall clock stands still: names must differ all the same
+    recorder.close()
+    names = sorted(p.name for p in tmp_path.iterdir())
+    assert names == [f"20231114T221320Z-{n:04d}.mcap" for n in range(1, len(names) + 1)]
+    assert len(names) >= 3
+    assert [r.sequence for name in names for r in read(tmp_path / name)[0]] == [1, 2, 3, 4, 5, 6]
+    assert [s.path for s in said if s.closed] == [f"{tmp_path.name}/{name}" for name in names]
+
+
+def test_recorder_leaves_a_full_disk_alone_until_the_next_flush(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, said = FakeClock(), []
+    recorder = make_recorder(tmp_path, clock, said)
+    recorder.hear(stem(1))
+    monkeypatch.setattr(recording, "_write_all", full(1))
+    with pytest.raises(DiskFull):
+        recorder.flush()
+    recorder.hear(stem(2))
+    recorder.flush()
+    recorder.close()
+    assert said[-1].messages == 2
+    assert recorder.all_lost() == 0
+
+
+def test_recorder_finishes_left_over_files_but_not_its_own(tmp_path: Path) -> None:
+    written(tmp_path / "20231114T221320Z-0007.mcap", 10)
+    (tmp_path / ".20231114T221320Z-0007.mcap.abc.part").write_bytes(b"of a killed recovery")
+    clock, said = FakeClock(), []
+    recorder = make_recorder(tmp_path, clock, said)
+    recorder.hear(arrival(Tick(tick=1, time_s=0.0), seq=1))
+    (found,) = recorder.recover_left_over()
+    assert found.messages == 10
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "20231114T221320Z-0007.mcap",
+        f"20231114T221320Z-0008.mcap{OPEN_SUFFIX}",
+    ]
+    recorder.close()
