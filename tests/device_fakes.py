@@ -101,9 +101,9 @@ class FakeApp:
 
     def hear(self, *messages: Message) -> None:
         """These arrive, stamped with the present time unless they carry one."""
-        for message in messages:
-            if message.t_mono_ns == 0:
-                message = msgspec.structs.replace(message, t_mono_ns=self.clock.mono_ns())
+        for sent in messages:
+            mono_ns = sent.t_mono_ns or self.clock.mono_ns()
+            message = msgspec.structs.replace(sent, t_mono_ns=mono_ns)
             self.inbox.hear(spec_of(type(message)).kind, message)
             for handler in self._handlers.get(type(message), ()):
                 handler(message)

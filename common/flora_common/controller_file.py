@@ -161,6 +161,8 @@ def parse_controller(data: bytes, *, where: str) -> LoadedController:
     """Check a controller file's bytes; errors as in :func:`load_controller`."""
     if len(data) > MAX_BYTES:
         raise BadController(f"{where}: {len(data)} bytes; a controller file has at most {MAX_BYTES}")
+    if not data.strip():
+        raise BadController(f"{where}: is empty")
     table = _parse_json(data, where)
     if table.get("format") != "flora-controller":
         found = str(table.get("format"))[:40] if "format" in table else "missing"
@@ -169,6 +171,10 @@ def parse_controller(data: bytes, *, where: str) -> LoadedController:
         raise BadController(
             f"{where}: version {str(table.get('version'))[:20]} is not known; this program reads version 1"
         )
+    network = table.get("network")
+    kind = network.get("network_type", "feedforward") if isinstance(network, dict) else "feedforward"
+    if kind != "feedforward":
+        raise BadController(f"{where}: network is `{str(kind)[:40]}`; only a feedforward one can be evaluated")
     file = convert(table, ControllerFile, where=where, error=BadController)
     _check_inputs(file, where)
     return LoadedController(file, network_from(file.network, where), sha256_of_bytes(data), data)
@@ -230,6 +236,8 @@ def _parse_json(data: bytes, where: str) -> dict[str, Any]:
         json.dumps(table, ensure_ascii=False).encode()  # escapes can spell half a character
     except UnicodeDecodeError as problem:
         raise BadController(f"{where}: not UTF-8 text (byte {problem.start})") from problem
+    except UnicodeEncodeError as problem:
+        raise BadController(f"{where}: a text holds half a character (a lone surrogate)") from problem
     except RecursionError as problem:
         raise BadController(f"{where}: not valid JSON: nested too deeply") from problem
     except ValueError as problem:

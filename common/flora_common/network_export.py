@@ -167,9 +167,21 @@ def _evaluation_order(
             if waiting[reader] == 0:
                 ready.append(reader)
     if len(order) < len(links):
-        stuck = min(set(links).difference(order))
-        raise BadController(f"{where}: network is not feed-forward: a cycle keeps node {stuck} from being reached")
+        stuck = set(links).difference(order)
+        raise BadController(
+            f"{where}: network is not feed-forward: node {_in_cycle(stuck, links)} reads itself in the end"
+        )
     return order
+
+
+def _in_cycle(stuck: set[int], links: Mapping[int, list[tuple[int, float]]]) -> int:
+    """The lowest node of a cycle, found by going upstream from any node that could not be put in order."""
+    seen: list[int] = []
+    key = min(stuck)
+    while key not in seen:
+        seen.append(key)
+        key = next(source for source, _ in links[key] if source in stuck)
+    return min(seen[seen.index(key) :])
 
 
 def _check_all_used(

@@ -14,6 +14,7 @@ from flora_common.errors import CameraGone
 
 SHORTEST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 60.0
+END_WAIT_S: Final = 1.0
 PIECE_BYTES: Final = 1 << 20
 
 
@@ -104,7 +105,8 @@ class CameraProcess:
         self._is_waiting = True  # so that no new one is arranged
         self.kill()
         for child in self._ended:
-            child.poll()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(END_WAIT_S)
 
     def _start_if_waiting(self) -> None:
         if self._is_waiting:

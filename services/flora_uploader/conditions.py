@@ -1,4 +1,4 @@
-"""How things stand: problems that last, by name, and one sentence about all of them."""
+"""How things stand: problems that last, by name, and what to say about all of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Final
 from flora_uploader.policy import DiskAlert
 
 SENTENCE_LENGTH: Final = 500
+SHOWN: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,7 @@ class _Condition:
 
 
 class Conditions:
-    """Lasting problems. The target's comes first, then what is newest last.
+    """Lasting problems.
 
     Attributes:
         disk: the disk alert that holds.
@@ -48,11 +49,10 @@ class Conditions:
         return any(condition.serious for condition in self._holding.values())
 
     def sentence(self) -> str:
-        """One line: the target's problem, else the first of the serious ones, and how many more there are."""
-        if not self._holding:
-            return ""
-        order = sorted(self._holding.items(), key=lambda item: (item[0] != "target", not item[1].serious))
-        first = order[0][1].reason
-        more = len(order) - 1
-        tail = f" (and {more} more {'thing' if more == 1 else 'things'})" if more else ""
-        return first[: SENTENCE_LENGTH - len(tail)] + tail
+        """The target's problem, then what else is serious, the disk last: three at most, and how many more there are."""
+        order = sorted(
+            self._holding.items(), key=lambda item: (item[0] != "target", not item[1].serious, item[0] == "disk")
+        )
+        told = "; ".join(condition.reason for _, condition in order[:SHOWN])
+        more = f" (and {len(order) - SHOWN} more)" if len(order) > SHOWN else ""
+        return told[: SENTENCE_LENGTH - len(more)] + more

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import msgspec
 import pytest
 from hypothesis import given
@@ -152,4 +154,4 @@ def test_whatever_happens_numbers_never_repeat_time_increases_and_beats_never_bu
             kept = msgspec.json.decode(msgspec.json.encode(beat.state), type=BeatState)
             beat = Beat(INTERVAL_S, run="bean", state=kept, now=now(), box_time=box_time)
     assert numbers == sorted(set(numbers))
-    assert all(later > earlier for earlier, later in zip(times, times[1:], strict=False))
+    assert all(later > earlier for earlier, later in pairwise(times))

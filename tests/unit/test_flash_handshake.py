@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from device_fakes import FakeApp
 
+from device_fakes import FakeApp
 from flora_common.clock import NS, FakeClock, LeaderClock
 from flora_common.errors import BadInput, DiskFull, FlashDead
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from uploader_fakes import DAY_NS, Bench, sha
+
 from flora_common.errors import DiskFull, NasRefused, StoreError
 from flora_uploader.model import Settings
-from uploader_fakes import DAY_NS, Bench, sha
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def _headline(summary: RunSummary) -> str:
     tiles = []
     if summary.fitness_at_stop is not None:
         tiles.append((f"{100 * summary.fitness_at_stop:.1f} %", f"fitness when {summary.stop_reason}"))
-        tiles.append((_hour(summary.reached_h), "target reached"))
+        tiles.append(("no" if summary.reached_h is None else _hour(summary.reached_h), "target reached"))
     if summary.run.obstacle is not None:
         tiles.append(("none" if summary.collided_h is None else _hour(summary.collided_h), "collision"))
         tiles.append((f"{summary.clearance_cm:.1f} cm", "least distance to the obstacle"))
@@ -86,8 +86,8 @@ def _headline(summary: RunSummary) -> str:
     )
 
 
-def _hour(hour: float | None) -> str:
-    return "not" if hour is None else f"at {hour:.1f} h"
+def _hour(hour: float) -> str:
+    return f"at {hour:.1f} h"
 
 
 def _rows(summary: RunSummary) -> list[tuple[str, str]]:

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from flora_common.runs import RunFolder
-from flora_common.vision.draw import CmToPx, contact_sheet, draw_lamps, overlay
+from flora_common.runs import CameraSection, RunFolder
+from flora_common.vision.draw import CmToPx, contact_sheet, overlay
 from flora_common.vision.picture import Picture, read_picture
 from flora_lab.report.summary import RunSummary
 
 PAPER_HOURS = (20.0, 37.0, 54.0, 71.0)
 """Times of the paper's four panels."""
 
-TILE_WIDTH_PX = 480
+TILE_WIDTH_PX = 440
 MARGIN_CM = 3.0
 
 
@@ -30,8 +30,6 @@ def strip(folder: RunFolder, summary: RunSummary, hours: Sequence[float] = PAPER
     return contact_sheet(
         [_panel(folder, summary, row) for row in rows],
         columns=len(rows),
-        captions=[f"{times_h[row]:.0f} h" for row in rows],
-        tile_width_px=TILE_WIDTH_PX,
     )
 
 
@@ -41,17 +39,25 @@ def _panel(folder: RunFolder, summary: RunSummary, row: int) -> Picture:
     reading = int(np.argmin(np.abs(summary.track.time_s - frame.time_s)))
     seen = abs(float(summary.track.time_s[reading]) - frame.time_s) < summary.run.interval_s / 2
     left, top, right, bottom = _window(summary, picture)
-    # Drawn large, then cut: lines keep their width whatever the camera's size.
-    drawn = overlay(
-        picture,
-        summary.run.camera,
+    share = summary.run.camera.width_px / picture.shape[1]
+    camera = CameraSection(
+        anchor_px=(summary.run.camera.anchor_px[0] - left * share, summary.run.camera.anchor_px[1] - top * share),
+        px_per_cm=summary.run.camera.px_per_cm,
+        width_px=round((right - left) * share),
+        height_px=round((bottom - top) * share),
+    )
+    tile_height_px = round((bottom - top) * TILE_WIDTH_PX / (right - left))
+    # Drawn after scaling, so that the lines are thin beside the stem whatever the camera's size.
+    cut = cv2.resize(picture[top:bottom, left:right], (TILE_WIDTH_PX, tile_height_px), interpolation=cv2.INTER_AREA)
+    return overlay(
+        np.asarray(cut, dtype=np.uint8),
+        camera,
         points_cm=summary.track.points_cm[reading] if seen else None,
         obstacle=summary.run.obstacle_or_none(),
         target=summary.run.target_or_none(),
+        light=frame.light,
+        caption=f"{frame.time_s / 3600:.0f} h",
     )
-    cut = np.ascontiguousarray(drawn[top:bottom, left:right])
-    draw_lamps(cut, frame.light, max(1, cut.shape[1] // 250))
-    return cut
 
 
 def _window(summary: RunSummary, picture: Picture) -> tuple[int, int, int, int]:

@@ -94,4 +94,4 @@ def _stop(tips: FloatArray, touches: np.ndarray) -> tuple[int, str]:
         return first_touch, "the stem touched the obstacle"
     if first_high < len(tips):
         return first_high, f"the tip was {STOP_HEIGHT_CM:g} cm high"
-    return len(tips) - 1, "the recording ends"
+    return len(tips) - 1, "the run ended"
