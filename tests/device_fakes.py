@@ -173,10 +173,10 @@ class FakeBox:
         poller.register(self._router, zmq.POLLIN)
         poller.register(self._stopped, zmq.POLLIN)
         while self._stopped not in dict(poller.poll()):
-            who, empty, payload = self._router.recv_multipart()
+            *envelope, payload = self._router.recv_multipart()
             answer = self._answer(msgspec.msgpack.decode(payload))
             if answer is not None:
-                self._router.send_multipart([who, empty, msgspec.msgpack.encode(answer)])
+                self._router.send_multipart([*envelope, msgspec.msgpack.encode(answer)])
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any] | None:
         self.requests.append(request)

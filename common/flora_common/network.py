@@ -1,9 +1,9 @@
 """A small feed-forward network, evaluated as neat-python 2.0.0 does, and checked at every node.
 
-Plain Python floats: the networks have some tens of links, where one numpy call costs more than the whole evaluation
-(``tests/bench`` has no figure for it because the rig asks once in five minutes; 26 inputs and 12 hidden nodes take
-about 50 microseconds on a laptop). Every operation is done in neat-python's order, so that results are equal to the
-last bit on Python 3.11; from 3.12 on the built-in ``sum`` of neat-python compensates rounding and may differ there.
+Plain Python floats, every operation in neat-python's order: results are equal to the last bit on Python 3.11 (from
+3.12 on, neat-python's ``sum`` compensates rounding and may differ there). An evolved network of 4 nodes and 20 links
+takes 12 us here, a dense one of 13 nodes and 324 links 40 us, where numpy takes 17 us, adding up in another order; a
+rig asks once in five minutes.
 
 What neat-python does with a value that is not finite: ``max(-60, min(60, nan))`` is 60, so a sigmoid answers NaN with a
 confident 1.0. Here such a value ends the evaluation with :class:`NotFinite`, and there is no answer at all.

@@ -19,6 +19,9 @@ class Notifier:
         address = environment.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if address else None
+        if self._socket is not None:
+            # A manager that does not read must never hold up the service.
+            self._socket.setblocking(False)
         meant_for = environment.get("WATCHDOG_PID")
         is_ours = meant_for is None or meant_for == str(pid or os.getpid())
         usec = environment.get("WATCHDOG_USEC", "")

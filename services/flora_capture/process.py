@@ -15,6 +15,7 @@ from flora_common.errors import CameraGone
 SHORTEST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 60.0
 END_WAIT_S: Final = 1.0
+REAP_WAIT_S: Final = 0.2
 PIECE_BYTES: Final = 1 << 20
 
 
@@ -145,8 +146,9 @@ class CameraProcess:
 
 
 def _how_it_ended(child: subprocess.Popen[bytes]) -> str:
-    status = child.poll()
-    if status is None:
+    try:
+        status = child.wait(REAP_WAIT_S)  # its output ends a moment before it does
+    except subprocess.TimeoutExpired:
         return "the camera process closed its output"
     return (
         f"the camera process was killed by signal {-status}"

@@ -204,8 +204,7 @@ def test_a_camera_that_is_lost_is_told_at_once_and_comes_back(rig: Rig, what: st
 def test_a_camera_process_killed_while_idle_is_started_again(rig: Rig) -> None:
     app = rig.start()
     until(app, lambda: "camera_open" in app.lines)
-    (child,) = [int(p) for p in os.popen(f"pgrep -P {os.getpid()} -f child.py").read().split()]
-    os.kill(child, signal.SIGKILL)
+    os.kill(int((rig.folder / "pid").read_text()), signal.SIGKILL)
     until(app, lambda: "camera" in app.troubles)
     assert "signal 9" in app.troubles["camera"]
     app.pass_real_s(1.1)

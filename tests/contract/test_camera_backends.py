@@ -1,0 +1,184 @@
+"""The same checks on every camera that works here, through the real camera process."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from device_fakes import GOOD_METADATA, fake_box, tiny_jpeg
+from flora_capture.core import exposure_of
+from flora_capture.jpeg import picture_size
+from flora_capture.wire import Answer, CameraSettings, Request, pack, read
+from flora_common.runs import RunFolder
+
+PICTURES = 3
+ON_A_PI = [
+    pytest.mark.pi,
+    pytest.mark.skipif(importlib.util.find_spec("picamera2") is None, reason="needs a Raspberry Pi and its camera"),
+]
+
+
+class Child:
+    """A camera process, asked by hand."""
+
+    def __init__(self, **settings: Any) -> None:
+        given = {
+            "width_px": 64, "height_px": 48, "exposure_us": 20_000.0, "analogue_gain": 1.0, "colour_gains": (1.9, 1.6),
+            "jpeg_quality": 90, "wait_s": 10.0, **settings,
+        }  # fmt: skip
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "flora_capture.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.send(CameraSettings(**given))
+        self.opened = self.answer()
+
+    def send(self, message: msgspec.Struct) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(pack(message))
+        self.process.stdin.flush()
+
+    def answer(self) -> Answer:
+        assert self.process.stdout is not None
+        payload = read(self.process.stdout)  # type: ignore[arg-type]
+        assert payload is not None
+        return msgspec.msgpack.decode(payload, type=Answer)
+
+    def shoot(self, number: int, index: int) -> Answer:
+        self.send(Request(number, index, f"frames/{number:06d}.jpg"))
+        return self.answer()
+
+    def end(self) -> int:
+        """Close its stdin, as the end of the service does; returns its exit status."""
+        with self.process:
+            assert self.process.stdin is not None
+            self.process.stdin.close()
+            return self.process.wait(10.0)
+
+
+def film(path: Path) -> Path:
+    import cv2
+    import numpy as np
+
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    for number in range(PICTURES):
+        writer.write(np.full((48, 64, 3), 50 + 60 * number, np.uint8))
+    writer.release()
+    return path
+
+
+def old_run(path: Path) -> Path:
+    run = RunFolder(path)
+    run.frames.mkdir(parents=True)
+    for number in range(PICTURES):
+        name = f"frames/{number}.jpg"
+        (path / name).write_bytes(tiny_jpeg(50 + 60 * number))
+        run.append_frame(name, 300.0 * number, "left")
+    line = {"file": "frames/0.jpg", "metadata": GOOD_METADATA}
+    run.frames_log.write_bytes(msgspec.json.encode(line) + b"\n" + b'{"file": "frames/1.jpg", "meta')
+    return path
+
+
+@pytest.fixture(params=["virtual", "replay", "opencv", pytest.param("picamera2", marks=ON_A_PI)])
+def camera(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Child]:
+    with fake_box() as box:
+        sources: dict[str, Callable[[], object]] = {
+            "virtual": lambda: box.address,
+            "replay": lambda: old_run(tmp_path / "old"),
+            "opencv": lambda: film(tmp_path / "film.avi"),
+            "picamera2": lambda: "0",
+        }
+        child = Child(backend=request.param, source=str(sources[request.param]()))
+        yield child
+        assert child.end() == 0
+
+
+def test_it_opens_and_takes_whole_jpegs_of_the_right_size(camera: Child) -> None:
+    assert camera.opened == Answer(0)
+    for index in range(PICTURES):
+        answer = camera.shoot(7 + index, index)
+        assert (answer.number, answer.problem) == (7 + index, "")
+        assert picture_size(answer.jpeg) == (64, 48)
+        exposure_of(answer.metadata)
+
+
+def test_a_restarted_service_gets_the_picture_that_is_next(camera: Child) -> None:
+    assert picture_size(camera.shoot(1, 2).jpeg) == (64, 48)
+    assert picture_size(camera.shoot(1, 2).jpeg) == (64, 48)
+    assert picture_size(camera.shoot(1, 0).jpeg) == (64, 48)
+
+
+@pytest.mark.parametrize(("backend", "make"), [("replay", old_run), ("opencv", film)])
+def test_pictures_come_in_order_and_their_end_is_told(
+    tmp_path: Path, backend: str, make: Callable[[Path], Path]
+) -> None:
+    import cv2
+    import numpy as np
+
+    child = Child(backend=backend, source=str(make(tmp_path / "old.avi")))
+    for index in (0, 1, 2, 1):
+        picture = cv2.imdecode(np.frombuffer(child.shoot(1, index).jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert picture.mean() == pytest.approx(50 + 60 * index, abs=4)
+    answer = child.shoot(1, PICTURES)
+    assert answer.problem == "camera_gone"
+    assert "all 3 photographs" in answer.reason or "the film ends" in answer.reason
+    assert child.end() == 0
+
+
+def test_replay_brings_the_metadata_that_were_kept(tmp_path: Path) -> None:
+    child = Child(backend="replay", source=str(old_run(tmp_path / "old")))
+    assert child.shoot(1, 0).metadata == GOOD_METADATA
+    assert child.shoot(2, 1).metadata == {}
+    assert child.end() == 0
+
+
+@pytest.mark.parametrize(
+    ("backend", "source", "reason"),
+    [
+        ("replay", "nowhere", "nothing to replay"),
+        ("opencv", "nowhere.avi", "no such video file"),
+        ("opencv", "/dev/video63", "no such camera"),
+        ("opencv", __file__, "not a video"),
+        pytest.param(
+            "picamera2",
+            "0",
+            "python3-picamera2",
+            marks=pytest.mark.skipif(importlib.util.find_spec("picamera2") is not None, reason="picamera2 is here"),
+        ),
+    ],
+)
+def test_a_camera_that_is_not_there_is_one_clear_line(backend: str, source: str, reason: str) -> None:
+    child = Child(backend=backend, source=source)
+    assert child.opened.problem == "camera_gone"
+    assert reason in child.opened.reason
+    assert child.end() == 0
+
+
+def test_the_virtual_camera_asks_for_the_locked_exposure_and_believes_little() -> None:
+    with fake_box() as box:
+        child = Child(backend="virtual", source=box.address)
+        child.shoot(12, 0)
+        assert box.requests[-1] == {
+            "op": "shutter", "exposure_us": 20_000.0, "analogue_gain": 1.0, "colour_gains": [1.9, 1.6],
+            "name": "frames/000012.jpg",
+        }  # fmt: skip
+        box.jpeg = "no bytes"  # type: ignore[assignment]
+        assert child.shoot(13, 0).problem == "bad_picture"
+        box.refuse.add("shutter")
+        answer = child.shoot(14, 0)
+        assert (answer.problem, "shutter is broken" in answer.reason) == ("camera_gone", True)
+        assert child.end() == 0
+
+
+def test_the_virtual_cameras_process_loads_neither_numpy_nor_opencv() -> None:
+    code = (
+        "import sys, flora_capture.child, flora_capture.backends.virtual\n"
+        "print([m for m in ('numpy', 'cv2', 'rich', 'typer') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

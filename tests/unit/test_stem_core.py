@@ -1,0 +1,379 @@
+"""The stem service's core on drawn pictures: one answer per tick, whatever happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from flora_common.errors import DiskFull
+from flora_common.files import sha256_of_bytes
+from flora_common.messages import Frame, FrameMissed, Stem
+from flora_common.runs import CameraSection, RunFile, RunFolder, read_track, run_file_text
+from flora_common.vision.picture import Picture
+from flora_stem.background import Background
+from flora_stem.core import NO_BACKGROUND, Answer, StemCore, StemSection
+from flora_stem.main import FrameReader, Track, resumed, run_identity
+from flora_stem.record import RECORD_FILE, StemRecord, last_track_row, read_record, write_record
+
+WIDTH, HEIGHT = 320, 240
+CAMERA = CameraSection(anchor_px=(160.0, 220.0), px_per_cm=10.0, width_px=WIDTH, height_px=HEIGHT)
+RUN_FILE = RunFile(camera=CAMERA, rig="test")
+
+
+def empty() -> Picture:
+    return np.full((HEIGHT, WIDTH, 3), 20, dtype=np.uint8)
+
+
+def with_stem(x_cm: float, y_cm: float) -> Picture:
+    picture = empty()
+    tip = (round(160 + 10 * x_cm), round(220 - 10 * y_cm))
+    cv2.line(picture, (160, 219), tip, (60, 200, 60), 8)
+    return picture
+
+
+def jpeg(picture: Picture) -> bytes:
+    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    assert ok
+    return data.tobytes()
+
+
+class Box:
+    """A run folder and the parts of the service, started again at will."""
+
+    def __init__(self, folder: Path) -> None:
+        self.run = RunFolder(folder / "run")
+        self.state = folder / "state"
+        for path in (self.run.frames, self.run.background, self.state):
+            path.mkdir(parents=True)
+        self.run.run_toml.write_text(run_file_text(RUN_FILE))
+        self.section = StemSection()
+        self.now_ms = 0.0
+        self.start()
+
+    def start(self) -> None:
+        record = read_record(self.state / RECORD_FILE, run=run_identity(self.run, RUN_FILE))
+        self.track = Track(self.run)
+        self.core = StemCore(
+            CAMERA,
+            self.section,
+            resumed(record, self.run, RUN_FILE),
+            read=FrameReader(self.run, RUN_FILE, self.section),
+            now_ms=lambda: self.now_ms,
+        )
+        self.background = Background(self.run, CAMERA, self.section.paper.reduction, self.state / "setup.npz")
+        self.look()
+
+    def look(self) -> None:
+        if self.background.refresh():
+            self.core.use(self.background.setup, self.background.reason)
+
+    def calibrate(self) -> None:
+        for name in ("left-1", "right-1", "dark-1"):
+            (self.run.background / f"{name}.jpg").write_bytes(jpeg(empty()))
+        self.look()
+
+    def frame(self, tick: int, data: bytes, **changes: object) -> Frame:
+        path = f"frames/{tick:06d}.jpg"
+        (self.run.path / path).write_bytes(data)
+        frame = Frame(
+            tick=tick,
+            time_s=tick * 300.0,
+            path=path,
+            run="run",
+            sha256=sha256_of_bytes(data),
+            bytes=len(data),
+            width_px=WIDTH,
+            height_px=HEIGHT,
+            light="left",
+            flash_confirmed=True,
+            exposure_ok=True,
+        )
+        return msgspec.structs.replace(frame, **changes)
+
+    def answer(self, frame: Frame) -> Stem:
+        """As main.py does: track, then record, then the word."""
+        answer = self.core.on_frame(frame)
+        assert answer is not None
+        self.keep(answer)
+        return answer.stem
+
+    def keep(self, answer: Answer) -> None:
+        self.track.add(answer.row)
+        write_record(self.state / RECORD_FILE, self.core.record)
+
+    def times(self) -> list[float]:
+        return [float(t) for t in read_track(self.run.track_csv).time_s] if self.run.track_csv.exists() else []
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Iterator[Box]:
+    made = Box(tmp_path)
+    made.calibrate()
+    yield made
+
+
+def missed(tick: int) -> FrameMissed:
+    return FrameMissed(tick=tick, time_s=tick * 300.0, because="camera_hung", reason="killed")
+
+
+def test_a_stem_is_found_said_and_written(box: Box) -> None:
+    stem = box.answer(box.frame(1, jpeg(with_stem(3.0, 12.0))))
+
+    assert (stem.tick, stem.time_s, stem.outcome, stem.light) == (1, 300.0, "ok", "left")
+    assert len(stem.points_cm) == 10
+    assert stem.points_cm[0] == (0.0, 0.0)
+    assert stem.points_cm[9] == pytest.approx((3.0, 12.0), abs=0.7)
+    assert stem.quality > 0.9
+    track = read_track(box.run.track_csv)
+    assert track.points_cm[0] == pytest.approx(np.array(stem.points_cm), abs=1e-4)
+    assert track.light == ("left",)
+
+
+def test_without_background_pictures_there_is_no_stem_and_it_says_what_to_do(tmp_path: Path) -> None:
+    box = Box(tmp_path)
+
+    stem = box.answer(box.frame(1, jpeg(with_stem(3.0, 12.0))))
+
+    assert (stem.outcome, stem.reason, stem.points_cm) == ("no_stem", NO_BACKGROUND, ())
+    assert box.core.why_not == NO_BACKGROUND
+    assert box.times() == []
+    box.calibrate()
+    assert box.core.why_not == ""
+    assert box.answer(box.frame(2, jpeg(with_stem(3.0, 12.0)))).outcome == "ok"
+
+
+def test_an_empty_box_holds_no_stem(box: Box) -> None:
+    assert box.answer(box.frame(1, jpeg(empty()))).outcome == "no_stem"
+    assert box.times() == []
+
+
+GOOD = jpeg(with_stem(3.0, 12.0))
+
+
+@pytest.mark.parametrize(
+    ("data", "changes", "said"),
+    [
+        (GOOD[:3000], {}, "cut short"),
+        (b"", {}, "is empty"),
+        (GOOD, {"sha256": "0" * 64}, "not the picture that was taken"),
+        (GOOD, {"path": "frames/gone.jpg"}, "cannot be read"),
+        (GOOD, {"run": "other"}, "belongs to the run `other`, this is `run`"),
+        (jpeg(np.zeros((100, 100, 3), dtype=np.uint8)), {}, "is 100x100 px, expected 320x240"),
+    ],
+)
+def test_a_picture_that_cannot_be_believed_is_no_stem(
+    box: Box, data: bytes, changes: dict[str, object], said: str
+) -> None:
+    stem = box.answer(box.frame(1, data, **changes))
+
+    assert (stem.outcome, stem.points_cm) == ("bad_picture", ())
+    assert said in stem.reason
+    assert box.times() == []
+
+
+def test_a_flipped_bit_is_found(box: Box) -> None:
+    frame = box.frame(1, GOOD)
+    torn = bytearray(GOOD)
+    torn[len(torn) // 2] ^= 1
+    (box.run.path / frame.path).write_bytes(bytes(torn))
+
+    assert box.answer(frame).outcome == "bad_picture"
+
+
+def test_a_picture_in_another_light_is_no_plant(box: Box) -> None:
+    stem = box.answer(box.frame(1, jpeg(np.full((HEIGHT, WIDTH, 3), 200, dtype=np.uint8))))
+
+    assert stem.outcome == "bad_picture"
+    assert "of the picture differ from the empty setup" in stem.reason
+
+
+def test_a_tip_that_jumps_is_named_and_not_written(box: Box) -> None:
+    box.answer(box.frame(1, jpeg(with_stem(0.0, 8.0))))
+
+    jumped = box.answer(box.frame(2, jpeg(with_stem(6.0, 14.0))))
+    after = box.answer(box.frame(3, jpeg(with_stem(6.0, 14.2))))
+
+    assert (jumped.outcome, after.outcome) == ("jumped", "ok")
+    assert len(jumped.points_cm) == 10
+    assert box.times() == [300.0, 900.0]
+
+
+def test_what_was_odd_about_the_photograph_is_told(box: Box) -> None:
+    frame = box.frame(1, GOOD, flash_confirmed=False, exposure_ok=False, exposure_note="gain is 2")
+
+    stem = box.answer(frame)
+
+    assert (stem.outcome, stem.reason) == ("ok", "the flash was not confirmed; exposure: gain is 2")
+
+
+def test_a_missed_frame_is_answered(box: Box) -> None:
+    answer = box.core.on_missed(missed(1))
+
+    assert answer is not None
+    assert (answer.stem.outcome, answer.stem.tick, answer.row) == ("no_frame", 1, None)
+    assert answer.stem.reason == "no photograph (camera_hung): killed"
+
+
+def test_the_time_it_took_is_told(box: Box) -> None:
+    readings = iter([100.0, 142.0])
+    box.core._now_ms = lambda: next(readings)
+
+    assert box.answer(box.frame(1, GOOD)).took_ms == 42.0
+
+
+# Once per tick, through kills
+
+
+def test_the_same_frame_again_is_the_same_answer_and_one_line(box: Box) -> None:
+    frame = box.frame(1, GOOD)
+    first = box.answer(frame)
+
+    assert box.answer(frame) == first
+    assert box.times() == [300.0]
+
+
+def test_a_tick_is_answered_once_even_where_two_stories_are_told_of_it(box: Box) -> None:
+    first = box.answer(box.frame(2, GOOD))
+
+    answer = box.core.on_missed(missed(2))
+
+    assert answer is not None
+    assert answer.stem == first
+    assert box.core.on_missed(missed(1)) is None
+    assert box.core.on_frame(box.frame(1, GOOD)) is None
+
+
+def test_killed_between_track_and_word_the_same_comes_again(box: Box) -> None:
+    box.answer(box.frame(1, jpeg(with_stem(2.0, 10.0))))
+    frame = box.frame(2, jpeg(with_stem(2.2, 10.3)))
+    answer = box.core.on_frame(frame)
+    assert answer is not None
+    box.track.add(answer.row)  # and killed before the record was written
+
+    box.start()
+    again = box.answer(frame)
+
+    assert again == answer.stem
+    assert box.times() == [300.0, 600.0]
+
+
+def test_killed_anywhere_the_run_reads_the_same(box: Box, tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    other = Box(tmp_path / "b")
+    other.calibrate()
+    for tick in range(1, 15):
+        data = jpeg(with_stem(0.2 * tick, 8.0 + 0.3 * tick)) if tick % 5 else jpeg(empty())
+        frame = box.frame(tick, data)
+        other.frame(tick, data)
+        expected = box.answer(frame)
+        assert other.answer(frame) == expected
+        other.start()
+    assert box.run.track_csv.read_bytes() == other.run.track_csv.read_bytes()
+
+
+def test_the_previous_tip_comes_from_the_track_where_the_state_is_gone(box: Box) -> None:
+    box.answer(box.frame(1, jpeg(with_stem(0.0, 8.0))))
+    (box.state / RECORD_FILE).unlink()
+
+    box.start()
+
+    assert box.core.record.tip_px == pytest.approx((160.0, 140.0), abs=7.0)
+    assert box.answer(box.frame(2, jpeg(with_stem(6.0, 14.0)))).outcome == "jumped"
+
+
+def test_an_older_time_is_never_added_to_the_track(box: Box) -> None:
+    box.answer(box.frame(1, GOOD, time_s=900.0))
+    box.answer(box.frame(2, GOOD, time_s=900.0002))
+    box.answer(box.frame(3, GOOD, time_s=600.0))
+    box.start()
+    box.answer(box.frame(4, GOOD, time_s=899.0))
+    box.answer(box.frame(5, GOOD, time_s=1200.0))
+
+    assert box.times() == [900.0, 1200.0]
+
+
+def test_a_torn_last_line_is_overlooked_and_mended(box: Box) -> None:
+    box.answer(box.frame(1, GOOD))
+    with box.run.track_csv.open("ab") as file:
+        file.write(b"600.000,left,0.0,0.")
+
+    box.start()
+    box.answer(box.frame(2, GOOD))
+
+    assert box.times() == [300.0, 600.0]
+
+
+def test_a_full_disk_delays_the_lines_of_the_track(box: Box, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise DiskFull("no room")
+
+    answers = [box.core.on_frame(box.frame(tick, GOOD)) for tick in (1, 2, 3)]
+    with monkeypatch.context() as patch:
+        patch.setattr(box.run, "append_track", full)
+        for answer in answers[:2]:
+            assert answer is not None
+            with pytest.raises(DiskFull):
+                box.track.add(answer.row)
+    assert answers[2] is not None
+    box.track.add(answers[2].row)
+
+    assert box.times() == [300.0, 600.0, 900.0]
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"\x00\xff", b'{"run": 3}'])
+def test_a_damaged_record_is_as_none(tmp_path: Path, damage: bytes) -> None:
+    (tmp_path / RECORD_FILE).write_bytes(damage)
+
+    assert read_record(tmp_path / RECORD_FILE, run="r") == StemRecord(run="r")
+
+
+def test_the_last_row_of_a_track_with_damaged_lines(tmp_path: Path) -> None:
+    file = tmp_path / "track.csv"
+    assert last_track_row(file) is None
+    row = ",".join(["300.000", "left", *(str(float(i)) for i in range(20))])
+    file.write_text(f"header\n{row}\n\x00\x00\x00\n600.0,left\n")
+
+    assert last_track_row(file) == (300.0, (18.0, 19.0))
+
+
+# Background pictures
+
+
+def test_matrices_are_made_anew_when_the_folder_changes_and_kept_for_the_next_start(box: Box) -> None:
+    assert box.background.setup is not None
+    assert (box.background.setup.pictures, box.background.from_cache) == (3, False)
+    assert not box.background.refresh()
+
+    (box.run.background / "both-1.jpg").write_bytes(jpeg(empty()))
+    assert box.background.refresh()
+    assert box.background.setup.pictures == 4
+
+    box.start()
+    assert box.background.from_cache
+    assert box.answer(box.frame(1, GOOD)).outcome == "ok"
+
+
+def test_a_kept_file_of_other_pictures_or_damaged_is_not_used(box: Box) -> None:
+    (box.run.background / "left-1.jpg").write_bytes(jpeg(with_stem(3.0, 12.0)))
+    box.start()
+    assert not box.background.from_cache
+
+    (box.state / "setup.npz").write_bytes(b"x")
+    box.start()
+    assert not box.background.from_cache
+    assert box.core.why_not == ""
+
+
+def test_a_bad_background_picture_is_named(box: Box) -> None:
+    (box.run.background / "left-1.jpg").write_bytes(GOOD[:1000])
+    box.look()
+
+    stem = box.answer(box.frame(1, GOOD))
+
+    assert stem.outcome == "no_stem"
+    assert "left-1.jpg: JPEG is cut short" in stem.reason
