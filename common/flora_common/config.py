@@ -48,7 +48,7 @@ class ClockSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[rig]``: what all services share."""
 
-    name: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")] = "box1"
+    name: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")] = "box1"
     run_dir: str = "/var/lib/flora/runs/current"
     state_dir: str = "/var/lib/flora/state"
     bus_publish: Endpoint = "ipc:///run/flora/bus-publish"

@@ -49,21 +49,30 @@ def atomic_writer(path: Path, *, mode: int = 0o644) -> Iterator[BinaryIO]:
     Raises:
         DiskFull: no room, named with the path.
     """
-    make_folder(path.parent)
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX)
+    with _full_disk_told(path, "free some space, nothing was overwritten"):
+        make_folder(path.parent)
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+                file.flush()
+                os.fchmod(file.fileno(), mode)
+                os.fsync(file.fileno())
+            Path(name).replace(path)
+            fsync_folder(path.parent)
+        except BaseException:
+            with contextlib.suppress(FileNotFoundError):
+                Path(name).unlink()
+            raise
+
+
+@contextlib.contextmanager
+def _full_disk_told(path: Path, consequence: str) -> Iterator[None]:
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            yield file
-            file.flush()
-            os.fchmod(file.fileno(), mode)
-            os.fsync(file.fileno())
-        Path(name).replace(path)
-        fsync_folder(path.parent)
-    except BaseException as error:
-        with contextlib.suppress(FileNotFoundError):
-            Path(name).unlink()
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise DiskFull(f"{path}: no room on the disk; free some space, nothing was overwritten") from error
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise DiskFull(f"{path}: no room on the disk; {consequence}") from error
         raise
 
 
@@ -83,25 +92,22 @@ def append_line(path: Path, line: str, *, header: str | None = None) -> None:
 
     A line left torn by a power cut (no line end) is cut off first, so that later lines stay readable.
     """
-    is_new = not path.exists()
-    if is_new:
-        make_folder(path.parent)
-    try:
+    with _full_disk_told(path, "the line was not added"):
+        is_new = not path.exists()
+        if is_new:
+            make_folder(path.parent)
         with path.open("a+b") as file:
             size = file.seek(0, os.SEEK_END)
-            if size == 0 and header is not None:
+            whole = _end_of_last_line(file, size)
+            if whole < size:
+                file.truncate(whole)
+            if whole == 0 and header is not None:
                 file.write(header.encode() + b"\n")
-            elif size > 0:
-                file.truncate(_end_of_last_line(file, size))
             file.write(line.encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise DiskFull(f"{path}: no room on the disk; the line was not added") from error
-        raise
-    if is_new:
-        fsync_folder(path.parent)
+        if is_new:
+            fsync_folder(path.parent)
 
 
 def _end_of_last_line(file: BinaryIO, size: int) -> int:

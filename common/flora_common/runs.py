@@ -74,7 +74,7 @@ class RunFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``run.toml``."""
 
     camera: CameraSection
-    rig: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")] = "box1"
+    rig: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")] = "box1"
     plant: Annotated[str, msgspec.Meta(max_length=200)] = ""
     start: datetime | None = None
     interval_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0

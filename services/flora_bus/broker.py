@@ -12,7 +12,15 @@ from typing import Any, Final
 import msgspec
 import zmq
 
-from flora_common.bus import HELLO_PREFIX, HIGH_WATER_MARK, MAX_FRAME_BYTES, BusAddress, kept_kinds
+from flora_common.bus import (
+    HELLO_PREFIX,
+    HIGH_WATER_MARK,
+    MAX_FRAME_BYTES,
+    BusAddress,
+    kept_kinds,
+    receive_frames,
+    send_frames,
+)
 from flora_common.messages import MAX_PAYLOAD_BYTES
 from flora_common.messages.wire import MAX_TOPIC_BYTES, TOPIC_PATTERN
 
@@ -25,11 +33,6 @@ MAX_KEPT_BYTES: Final = 4 << 20
 
 MAX_TIME_BYTES: Final = 64
 SUBSCRIBE: Final = b"\x01"
-
-# Plain integers: looking at an enum member costs as much as the call that it is for.
-_DONTWAIT: Final = int(zmq.DONTWAIT)
-_SNDMORE: Final = int(zmq.SNDMORE)
-_RCVMORE: Final = int(zmq.RCVMORE)
 
 
 class _Source(msgspec.Struct):
@@ -106,24 +109,18 @@ class Broker:
 
     def pass_on(self) -> None:
         """Move a batch of published messages; call when ``incoming`` is readable."""
-        # Frame by frame: pyzmq's recv_multipart and send_multipart cost a third more (tests/bench/bench_bus.py).
-        receive, ask, send = self.incoming.recv, self.incoming.getsockopt, self.outgoing.send
-        counters, values = self.counters, self._values
+        incoming, outgoing, counters, values = self.incoming, self.outgoing, self.counters, self._values
         for _ in range(BATCH):
             try:
-                parts = [receive(_DONTWAIT)]
+                parts = receive_frames(incoming)
             except zmq.Again:
                 return
-            while ask(_RCVMORE):
-                parts.append(receive())
             if not well_formed(parts):
                 counters.malformed += 1
                 continue
             values.keep(parts)
             counters.passed += 1
-            for part in parts[:-1]:
-                send(part, _SNDMORE)
-            send(parts[-1])
+            send_frames(outgoing, parts)
 
     def serve_subscriptions(self) -> None:
         """Answer new subscriptions with what is kept; call when ``outgoing`` is readable."""

@@ -49,7 +49,7 @@ class Conditions:
         return any(condition.serious for condition in self._holding.values())
 
     def sentence(self) -> str:
-        """The target's problem, then what else is serious, the disk last: three at most, and how many more there are."""
+        """The target's problem, then what else is serious, the disk last: three at most, and how many more."""
         order = sorted(
             self._holding.items(), key=lambda item: (item[0] != "target", not item[1].serious, item[0] == "disk")
         )

@@ -43,7 +43,7 @@ def hear_one(bus: Any, client: BusClient, kind: type, **fields: Any) -> Any:
     """The next message of a type with these fields."""
 
     def good(arrivals: list[Any]) -> list[Any]:
-        messages = [a.message for a in arrivals if isinstance(a.message, kind)]
+        messages = [a.message for a in arrivals if a.verdict == "good" and isinstance(a.message, kind)]
         return [m for m in messages if all(getattr(m, name) == value for name, value in fields.items())]
 
     return good(bus.hear(client, lambda arrivals: bool(good(arrivals))))[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import pytest
@@ -15,13 +15,25 @@ from flora_twin.rig.integrity import check_run
 from flora_twin.rig.virtual_rig import VirtualRig
 
 
-@pytest.fixture
-def running(virtual_rig: Callable[..., VirtualRig]) -> VirtualRig:
-    rig = virtual_rig(seed=5, capture={"hang_timeout_s": 2.0}, uploader={"table_every_s": 5.0})
+@pytest.fixture(scope="module")
+def hardy_rig(lasting_virtual_rig: Callable[..., VirtualRig]) -> Iterator[VirtualRig]:
+    """One rig through all the faults below; at the end nothing that it ever announced may be missing or torn."""
+    # Longer than the box needs for its first picture on a busy machine, shorter than anybody wants to wait.
+    rig = lasting_virtual_rig(seed=5, capture={"hang_timeout_s": 6.0}, uploader={"table_every_s": 5.0})
     rig.start()
     rig.calibrate()
-    go_on(rig, 2)
-    return rig
+    yield rig
+    finish_whole(rig)
+
+
+@pytest.fixture
+def running(hardy_rig: VirtualRig) -> VirtualRig:
+    """The rig in good health, with nothing seen yet."""
+    go_on(hardy_rig, 2)
+    hardy_rig.seen.missed.clear()
+    hardy_rig.seen.frames.clear()
+    hardy_rig.seen.outcomes.clear()
+    return hardy_rig
 
 
 def go_on(rig: VirtualRig, ticks: int) -> None:
@@ -39,24 +51,24 @@ def finish_whole(rig: VirtualRig) -> None:
 
 def test_a_hung_camera_is_killed_and_told_and_the_beat_goes_on(running: VirtualRig) -> None:
     with faults.fault(running, "camera_hangs"):
-        go_on(running, 1)
-    assert [missed.because for missed in running.seen.missed] == ["camera_hung"]
-    assert running.seen.outcomes["no_frame"] == 1
+        running.run(lambda seen: bool(seen.missed))
+    assert {missed.because for missed in running.seen.missed} == {"camera_hung"}
+    go_on(running, 1)
+    assert running.seen.outcomes["no_frame"] == len(running.seen.missed)
     before = len(running.seen.frames)
     go_on(running, 3)
     assert len(running.seen.frames) >= before + 2
-    finish_whole(running)
 
 
 def test_torn_pictures_never_become_stems_or_files(running: VirtualRig) -> None:
-    before = len(running.seen.frames)
     with faults.fault(running, "torn_jpeg"):
-        go_on(running, 2)
+        running.run(lambda seen: bool(seen.missed))
+        before = len(running.seen.frames)
+        go_on(running, 1)
+        assert len(running.seen.frames) == before
     assert {missed.because for missed in running.seen.missed} == {"bad_picture"}
-    assert len(running.seen.frames) == before
     go_on(running, 2)
     assert len(running.seen.frames) > before
-    finish_whole(running)
 
 
 def test_a_dead_flash_is_told_and_the_photograph_is_marked(running: VirtualRig) -> None:
@@ -65,30 +77,26 @@ def test_a_dead_flash_is_told_and_the_photograph_is_marked(running: VirtualRig) 
         assert running.seen.frames[-1].flash_confirmed is False
     go_on(running, 2)
     assert running.seen.frames[-1].flash_confirmed is True
-    finish_whole(running)
 
 
 def test_a_lost_lamp_command_is_made_good_by_the_next(running: VirtualRig) -> None:
     with faults.fault(running, "lamp_command_lost"):
         go_on(running, 2)
     go_on(running, 2)
-    finish_whole(running)
 
 
 def test_a_jumping_wall_clock_keeps_beat_and_order(running: VirtualRig) -> None:
     with faults.fault(running, "clock_jumps", "-31536000"):
         go_on(running, 3)
     go_on(running, 2)
-    rows = running.layout.run.read_frames()
+    rows = running.layout.run.read_frames()[-5:]
     assert all(b.time_s - a.time_s == pytest.approx(300.0, abs=1.0) for a, b in pairwise(rows))
-    finish_whole(running)
 
 
 def test_the_bus_comes_back(running: VirtualRig) -> None:
     with faults.fault(running, "bus_restarted"):
         go_on(running, 4)
-    assert running.restarts() == {"flora-bus": 1}
-    finish_whole(running)
+    assert running.restarts()["flora-bus"] == 1
 
 
 @pytest.mark.parametrize("name", ["nas_gone", "nas_read_only"])
@@ -103,7 +111,6 @@ def test_nothing_is_lost_without_the_nas(running: VirtualRig, name: str) -> None
     finally:
         faults.end(running, name)
     go_on(running, 2)
-    finish_whole(running)
 
 
 def test_a_schedule_of_faults_strikes_and_passes(virtual_rig: Callable[..., VirtualRig]) -> None:

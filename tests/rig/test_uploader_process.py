@@ -70,7 +70,7 @@ def test_frames_go_when_announced_and_wait_when_the_target_is_gone(bus: Any, tmp
     write_bytes(bus.run_dir / "frames" / "000002.jpg", picture)
     capture.publish(announced("frames/000002.jpg", picture, 2))
     heard = bus.hear(capture, lambda heard: any(state == "degraded" for state, _ in states(heard)))
-    assert "not reachable" in [reason for state, reason in states(heard) if state == "degraded"][0]
+    assert "not reachable" in next(reason for state, reason in states(heard) if state == "degraded")
     nas.mkdir()  # an empty mount point: nothing must be written there
     bus.hear(capture, lambda heard: any("marker file" in reason for _, reason in states(heard)), deadline_s=60.0)
     assert not list(nas.iterdir())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -111,10 +110,10 @@ class Box:
 
 
 @pytest.fixture
-def box(tmp_path: Path) -> Iterator[Box]:
+def box(tmp_path: Path) -> Box:
     made = Box(tmp_path)
     made.calibrate()
-    yield made
+    return made
 
 
 def missed(tick: int) -> FrameMissed:

@@ -52,7 +52,7 @@ class Story:
         assert not self.bench.target.renamed_unsynced
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_nothing_is_lost_torn_or_doubled(tmp_path: Path, seed: int) -> None:
     chance = random.Random(seed)
     bench = Bench(tmp_path, settings=Settings(table_every_s=20.0, scan_every_s=10.0))

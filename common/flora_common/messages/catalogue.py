@@ -162,7 +162,7 @@ class Setup(Message, kw_only=True, frozen=True):
     step: Annotated[Count, Meta(description="from 1; each step is one lamp state and one picture")] = 0
     steps: Count = 0
     lamps: Light = "dark"
-    shot: Annotated[str, Meta(max_length=64, pattern=r"^([a-z0-9][a-z0-9_-]*\.jpg)?$")] = ""
+    shot: Annotated[str, Meta(max_length=64, pattern=r"^([a-z0-9][a-z0-9_-]*\.jpg)?$(?!\n)")] = ""
 
 
 @message("stored", owner="flora-uploader", period="none")

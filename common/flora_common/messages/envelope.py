@@ -21,12 +21,13 @@ Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Fitness = Annotated[float, msgspec.Meta(ge=-1000.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
+# `$` alone lets a line feed through at the end in Python; `$(?!\n)` does not, and means the same in JSON Schema.
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$(?!\n)", max_length=64)]
 Sentence = Annotated[str, msgspec.Meta(max_length=500)]
-RelativePath = Annotated[str, msgspec.Meta(max_length=255, pattern=r"^(?!/)(?!.*\.\.)[^\x00]+$")]
-Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$", max_length=64)]
-OptionalSha256 = Annotated[str, msgspec.Meta(pattern=r"^([0-9a-f]{64})?$", max_length=64)]
-Session = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{8}$", max_length=8)]
+RelativePath = Annotated[str, msgspec.Meta(max_length=255, pattern=r"^(?!/)(?!.*\.\.)[^\x00-\x1f\x7f]+$(?!\n)")]
+Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", max_length=64)]
+OptionalSha256 = Annotated[str, msgspec.Meta(pattern=r"^([0-9a-f]{64})?$(?!\n)", max_length=64)]
+Session = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{8}$(?!\n)", max_length=8)]
 Point = tuple[Cm, Cm]
 
 NO_TICK: Final = 0

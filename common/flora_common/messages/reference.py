@@ -52,7 +52,7 @@ def page() -> str:
         "",
         "On the wire each message is three ZeroMQ frames: topic `<rig>/<kind>`, one msgpack map, and the Unix time in",
         "seconds as decimal text. Any language with ZeroMQ and msgpack can take part; PlotJuggler plots it as it is.",
-        "Subscribe at the rig's `bus_subscribe` endpoint, publish at `bus_publish`. Ignore fields that you do not know:",
+        "Subscribe at `bus_subscribe` of `[rig]`, publish at `bus_publish`. Ignore fields that you do not know:",
         "fields are only ever added.",
         "",
         "A kept topic is sent again when anybody subscribes to it, so a value can arrive twice: `seq` tells.",

@@ -21,7 +21,7 @@ MAX_PAYLOAD_BYTES: Final = 32 * 1024
 
 MAX_TOPIC_BYTES: Final = 96
 
-TOPIC_PATTERN: Final = re.compile(rb"^[a-z0-9][a-z0-9_-]{0,31}/[a-z][a-z0-9_]{0,47}$")
+TOPIC_PATTERN: Final = re.compile(rb"^[a-z0-9][a-z0-9_-]{0,31}/[a-z][a-z0-9_]{0,47}\Z")
 
 _ENCODER: Final = msgspec.msgpack.Encoder()
 _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Message]]] = {}

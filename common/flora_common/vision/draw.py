@@ -141,7 +141,7 @@ def draw_caption(out: Picture, caption: str) -> None:
     """One line at the bottom left, white on black, shrunk where it would not fit. OpenCV's letters are ASCII only."""
     text = caption.encode("ascii", "replace").decode()
     height, width = out.shape[:2]
-    scale = max(0.35, width / 1300)
+    scale = min(1.5, max(0.35, width / 650))
     (text_width, text_height), below = cv2.getTextSize(text, _FONT, scale, 1)
     if text_width > width - 8:
         scale *= max(0.1, (width - 8) / text_width)

@@ -53,7 +53,8 @@ def report(
 def numbers(summary: RunSummary) -> dict[str, Any]:
     """The figures that scripts want."""
     return {
-        "fitness": summary.fitness_at_stop,
+        "fitness_at_target": summary.fitness_at_target,
+        "fitness_at_stop": summary.fitness_at_stop,
         "best_fitness": summary.best_fitness,
         "stop_reason": summary.stop_reason,
         "stop_h": float(summary.track.time_s[summary.stop_row] / 3600),

@@ -86,8 +86,8 @@ def _lamp_band(axes: Axes, hours: Sequence[float], lights: Sequence[Light]) -> N
         axes.axvspan(hours[start], hours[end], ymin=0.0, ymax=0.045, color=LAMP_COLOURS[lights[start]], linewidth=0)
     sides: tuple[Light, Light] = ("left", "right")
     for k, light in enumerate(sides):
-        where = 0.75 + 0.12 * k
-        axes.text(where, 0.07, f"{light} lamp", color=LAMP_COLOURS[light], fontsize=8, transform=axes.transAxes)
+        where = 0.80 + 0.10 * k
+        axes.text(where, 1.02, f"{light} lamp", color=LAMP_COLOURS[light], fontsize=8, transform=axes.transAxes)
 
 
 def _svg(figure: Figure) -> str:

@@ -73,9 +73,19 @@ def _lead(summary: RunSummary) -> str:
 
 def _headline(summary: RunSummary) -> str:
     tiles = []
-    if summary.fitness_at_stop is not None:
-        tiles.append((f"{100 * summary.fitness_at_stop:.1f} %", f"fitness when {summary.stop_reason}"))
-        tiles.append(("no" if summary.reached_h is None else _hour(summary.reached_h), "target reached"))
+    if summary.fitness_at_target is not None and summary.reached_h is not None:
+        tiles.append(
+            (
+                f"{100 * summary.fitness_at_target:.1f} %",
+                f"fitness when the target was reached, {_hour(summary.reached_h)}",
+            )
+        )
+    elif summary.fitness_at_stop is not None:
+        tiles.append(
+            (f"{100 * summary.fitness_at_stop:.1f} %", f"fitness when {summary.stop_reason}; target not reached")
+        )
+    if summary.best_fitness is not None:
+        tiles.append((f"{100 * summary.best_fitness:.1f} %", "best fitness on the way"))
     if summary.run.obstacle is not None:
         tiles.append(("none" if summary.collided_h is None else _hour(summary.collided_h), "collision"))
         tiles.append((f"{summary.clearance_cm:.1f} cm", "least distance to the obstacle"))
@@ -101,8 +111,8 @@ def _rows(summary: RunSummary) -> list[tuple[str, str]]:
         ("run over because", summary.stop_reason),
         ("lamp changes", str(summary.switches)),
     ]
-    if summary.best_fitness is not None:
-        rows.append(("best fitness on the way", f"{100 * summary.best_fitness:.1f} %"))
+    if summary.fitness_at_stop is not None:
+        rows.append(("fitness when the run was over", f"{100 * summary.fitness_at_stop:.1f} %"))
     target, obstacle = summary.run.target, summary.run.obstacle
     if target is not None:
         rows.append(("target", f"({target.x_cm:g}, {target.y_cm:g}) cm, radius {target.radius_cm:g} cm"))

@@ -28,6 +28,7 @@ class RunSummary:
         stop_reason: that rule, or why there is none.
         fitness_at_stop: F at ``stop_row``.
         best_fitness: the largest F up to ``stop_row``.
+        fitness_at_target: F when the tip first lay in the target's circle: what the paper reports of its real plants.
         reached_h: hour at which the tip first lay in the target's circle.
         collided_h: hour at which the stem first touched the obstacle.
         clearance_cm: smallest distance between stem and obstacle.
@@ -44,6 +45,7 @@ class RunSummary:
     stop_reason: str
     fitness_at_stop: float | None
     best_fitness: float | None
+    fitness_at_target: float | None
     reached_h: float | None
     collided_h: float | None
     clearance_cm: float | None
@@ -79,6 +81,7 @@ def summarise(folder: RunFolder) -> RunSummary:
         stop_reason=stop_reason,
         fitness_at_stop=float(over_time[stop_row]) if over_time is not None else None,
         best_fitness=float(over_time[: stop_row + 1].max()) if over_time is not None else None,
+        fitness_at_target=float(over_time[int(inside.argmax())]) if over_time is not None and inside.any() else None,
         reached_h=float(hours[int(inside.argmax())]) if inside.any() else None,
         collided_h=float(hours[int(touches.argmax())]) if touches.any() else None,
         clearance_cm=min(clearance_cm(points, obstacle) for points in track.points_cm) if obstacle else None,

@@ -205,19 +205,22 @@ def _tell(
     took_s: float,
     events: dict[str, Any],
 ) -> None:
-    touched = figures["collided_h"]
-    reached = figures["target_reached_h"]
-    console.print(
-        f"fitness    {100 * figures['fitness']:.1f} % at hour {figures['stop_h']:.1f}: {figures['stop_reason']}"
-    )
-    console.print(f"target     {'not reached' if reached is None else f'reached at hour {reached:.1f}'}")
+    touched, reached = figures["collided_h"], figures["target_reached_h"]
+    at_stop = f"{100 * figures['fitness_at_stop']:.1f} % at hour {figures['stop_h']:.1f}, when {figures['stop_reason']}"
+    if reached is None:
+        console.print(f"fitness    {at_stop}; target not reached")
+    else:
+        console.print(
+            f"fitness    {100 * figures['fitness_at_target']:.1f} % when the target was reached, hour {reached:.1f}"
+        )
+        console.print(f"           {100 * figures['best_fitness']:.1f} % at best; {at_stop}")
     console.print(
         f"obstacle   {'not touched' if touched is None else f'touched at hour {touched:.1f}'}, "
         f"least distance {figures['clearance_cm']:.1f} cm"
     )
     console.print(
         f"pictures   {integrity.announced} announced, {integrity.missing} missing, {integrity.torn} torn, "
-        f"{integrity.announced - integrity.not_stored} verified at the NAS; {events['missed']} ticks without one"
+        f"{integrity.announced - integrity.not_stored} at the NAS; {events['missed']} ticks without one"
     )
     console.print(f"stems      {', '.join(f'{v} {k}' for k, v in sorted(events['outcomes'].items()))}")
     if events["restarts"]:

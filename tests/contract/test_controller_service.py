@@ -1,0 +1,165 @@
+"""flora-controller as a process on a private bus: steered, killed, given new files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from flora_common.bus import Arrival, BusClient
+from flora_common.files import write_bytes
+from flora_common.messages import ControllerState, Health, LightCommand, Stem
+from flora_common.runs import CameraSection, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+
+if TYPE_CHECKING:
+    from conftest import PrivateBus
+
+GOLDEN = Path(__file__).parent.parent / "golden" / "controllers"
+RUN_FILE = RunFile(
+    camera=CameraSection(anchor_px=(160.0, 220.0), px_per_cm=10.0, width_px=320, height_px=240),
+    rig="test",
+    target=TargetSection(x_cm=-5.12, y_cm=17.9),
+    obstacle=ObstacleSection(x_cm=-6.3, y_cm=12.5),
+)
+
+
+def stem(tick: int, x_cm: float, y_cm: float = 10.0) -> Stem:
+    points = tuple((x_cm * i / 9, y_cm * i / 9) for i in range(10))
+    return Stem(tick=tick, time_s=tick * 300.0, outcome="ok", points_cm=points, quality=1.0)
+
+
+def make_run(bus: PrivateBus, run_file: RunFile = RUN_FILE) -> None:
+    run = RunFolder(bus.run_dir)
+    run.path.mkdir()
+    run.run_toml.write_text(run_file_text(run_file))
+
+
+def answer(bus: PrivateBus, client: BusClient, tick: int) -> tuple[LightCommand, ControllerState]:
+    """Command and state of a tick."""
+    found: dict[type, object] = {}
+
+    def both(heard: list[Arrival]) -> bool:
+        for arrival in heard:
+            if isinstance(arrival.message, LightCommand | ControllerState) and arrival.message.tick == tick:
+                found[type(arrival.message)] = arrival.message
+        return len(found) == 2
+
+    bus.hear(client, both)
+    light, said = found[LightCommand], found[ControllerState]
+    assert isinstance(light, LightCommand)
+    assert isinstance(said, ControllerState)
+    return light, said
+
+
+def start(bus: PrivateBus) -> BusClient:
+    bus.start_service("flora-bus")
+    client = bus.client("flora-stem")
+    bus.start_service("flora-controller")
+    bus.wait_ready(client, "flora-controller")
+    return client
+
+
+def test_killed_in_the_middle_it_goes_on_where_it_was(bus: PrivateBus) -> None:
+    make_run(bus)
+    bus.sections["controller"] = {"use": "waypoint"}
+    client = start(bus)
+    client.publish(stem(1, 3.0, 12.0))
+    client.publish(stem(2, -6.0, 12.0))  # touches the obstacle
+    client.publish(stem(3, 6.0, 15.0))
+    before, told_before = answer(bus, client, 3)
+    assert (before.light, told_before.collided_at_s, told_before.switches) == ("left", 600.0, 1)
+
+    bus.processes[-1].kill()
+    bus.processes[-1].wait()
+    bus.start_service("flora-controller")
+    again, told_again = answer(bus, client, 3)  # the bus hands it the same stem once more
+    client.publish(stem(4, 6.0, 15.2))
+    after, told_after = answer(bus, client, 4)
+
+    assert (again.light, again.reason) == (before.light, before.reason)
+    assert again.session != before.session
+    assert (told_again.decisions, told_again.switches) == (3, 1)
+    assert (after.light, told_after.decisions, told_after.collided_at_s) == ("left", 4, 600.0)
+
+
+def test_a_new_controller_file_takes_over_and_a_bad_one_does_not(bus: PrivateBus, tmp_path: Path) -> None:
+    make_run(bus)
+    file = tmp_path / "steer.controller.json"
+    shutil.copy(GOLDEN / "good" / "tip_only.controller.json", file)
+    bus.sections["controller"] = {"use": str(file)}
+    client = start(bus)
+    client.publish(stem(1, 3.0))
+    _, first = answer(bus, client, 1)
+
+    write_bytes(file, (GOLDEN / "bad" / "nan_weight.controller.json").read_bytes())
+    client.publish(stem(2, 3.0))
+    _, refused = answer(bus, client, 2)
+    said: list[Health] = []
+
+    def degraded(heard: list[Arrival]) -> bool:
+        said.extend(a.message for a in heard if isinstance(a.message, Health) and a.message.state == "degraded")
+        return bool(said)
+
+    bus.hear(client, degraded)
+    write_bytes(file, (GOLDEN / "good" / "neat_export.controller.json").read_bytes())
+    client.publish(stem(3, 3.0))
+    _, second = answer(bus, client, 3)
+
+    assert first.controller == "steer.controller.json"
+    assert refused.sha256 == first.sha256
+    assert refused.reason == f"refused, the one before goes on: {file}: NaN is not a finite number"
+    assert "refused" in said[0].reason
+    assert second.sha256 not in ("", first.sha256)
+    assert (second.reason, second.decisions) == ("", 1)
+
+
+@pytest.mark.parametrize(
+    ("section", "run_file", "said"),
+    [
+        ({"use": "waypiont"}, RUN_FILE, "did you mean `waypoint`?"),
+        ({"use": "waypoint"}, None, "give run.toml a section [target]"),
+        ({"use": "open-loop", "blind_hold_tick": 1}, RUN_FILE, "did you mean `blind_hold_ticks`?"),
+        ({"use": "/gone.controller.json"}, RUN_FILE, "/gone.controller.json: cannot be read"),
+        ({"use": str(GOLDEN / "bad" / "cycle.controller.json")}, RUN_FILE, "network is not feed-forward"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    bus: PrivateBus, section: dict[str, object], run_file: RunFile | None, said: str
+) -> None:
+    if run_file is not None:
+        make_run(bus, run_file)
+    bus.sections["controller"] = section
+
+    process = bus.start_service("flora-controller")
+    _, error = process.communicate(timeout=20)
+
+    assert process.returncode == 2
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_the_open_loop_runs_without_a_run_folder(bus: PrivateBus) -> None:
+    client = start(bus)
+
+    client.publish(Stem(tick=73, time_s=6 * 3600.0, outcome="no_frame"))
+    light, told = answer(bus, client, 73)
+
+    assert (light.light, light.blind, told.controller, told.fitness) == ("right", False, "open-loop", None)
+
+
+def test_its_memory_and_its_record_are_small(bus: PrivateBus) -> None:
+    make_run(bus)
+    client = start(bus)
+    client.publish(stem(1, 3.0))
+    answer(bus, client, 1)
+
+    def healthy(heard: list[Arrival]) -> bool:
+        return any(isinstance(a.message, Health) and 0 < a.message.resident_kib < 80 * 1024 for a in heard)
+
+    bus.hear(client, healthy)
+    record = bus.folder / "state" / "controller.json"
+    assert json.loads(record.read_bytes())["tick"] == 1
+    assert record.stat().st_size < 4096

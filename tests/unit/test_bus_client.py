@@ -1,0 +1,254 @@
+"""Sequence numbers, freshness and the client itself, with no broker process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+import zmq
+
+from flora_bus.broker import MAX_KEPT, MAX_KEPT_BYTES, Broker, LastValues, well_formed
+from flora_common import bus as bus_module
+from flora_common.bus import OUTBOX_LIMIT, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
+from flora_common.clock import FakeClock
+from flora_common.errors import BadMessage
+from flora_common.messages import Health, LightCommand, Stem, Tick, encode
+
+
+def tick(seq: int, session: str = "00000001", source: str = "flora-flash") -> Tick:
+    return Tick(time_s=0.0, seq=seq, session=session, source=source)
+
+
+def test_gaps_and_repeats_are_found() -> None:
+    check = SequenceCheck()
+    found = [check.check("box1", "tick", tick(seq)) for seq in (5, 6, 9, 9, 7, 10)]
+    assert found == [0, 0, 2, -1, -1, 0]
+
+
+def test_a_restart_of_the_source_is_no_gap() -> None:
+    check = SequenceCheck()
+    assert check.check("box1", "tick", tick(100)) == 0
+    assert check.check("box1", "tick", tick(1, session="00000002")) == 0
+    assert check.check("box1", "tick", tick(3, session="00000002")) == 1
+
+
+def test_rigs_topics_and_sources_are_counted_apart() -> None:
+    check = SequenceCheck()
+    for key in (("a", "tick", "x"), ("b", "tick", "x"), ("a", "health", "x"), ("a", "tick", "y")):
+        assert check.check(key[0], key[1], tick(7, source=key[2])) == 0
+
+
+def test_a_flood_of_sources_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_module, "MAX_STREAMS", 10)
+    check = SequenceCheck()
+    for number in range(1000):
+        check.check("box1", "tick", tick(1, source=f"s{number}"))
+    assert len(check._last) == 10
+
+
+def test_freshness_comes_from_the_catalogues_period() -> None:
+    clock = FakeClock()
+    inbox = Freshness(clock, tick_s=300.0)
+    assert not inbox.fresh(Stem)
+    assert inbox.last(Stem) is None
+    assert inbox.age_s(Stem) is None
+    stem = Stem(time_s=0.0, outcome="ok")
+    inbox.hear("stem", stem)
+    inbox.hear("health", Health(state="ready"))
+    clock.advance(25.0)
+    assert inbox.fresh(Health)
+    clock.advance(0.1)
+    assert not inbox.fresh(Health)
+    clock.advance(750.0 - 25.1)
+    assert inbox.fresh(Stem)
+    clock.advance(0.1)
+    assert not inbox.fresh(Stem)
+    assert inbox.last(Stem) is stem
+    assert inbox.age_s(Stem) == pytest.approx(750.1)
+
+
+def test_topics_without_a_period_are_never_late() -> None:
+    assert late_after_s("none", 300.0) is None
+    assert late_after_s("tick", 100.0) == 250.0
+    assert late_after_s("10 s", 100.0) == 25.0
+
+
+class Wire:
+    """A broker and clients in one process, moved on by hand."""
+
+    def __init__(self, name: str) -> None:
+        self.address = BusAddress(f"inproc://{name}-pub", f"inproc://{name}-sub")
+        self.broker: Broker | None = Broker(self.address)
+        self.clients: list[BusClient] = []
+
+    def client(self, source: str, *types: type) -> BusClient:
+        client = BusClient(self.address, rig="box1", source=source, clock=FakeClock(5, 10**18))
+        client.subscribe(*types)
+        client.connect()
+        self.clients.append(client)
+        return client
+
+    def turn(self, client: BusClient) -> list[object]:
+        """Everything that is on its way to one client."""
+        heard: list[object] = []
+        quiet = 0
+        while quiet < 3:
+            client.handle_publisher()
+            if self.broker is not None:
+                self.broker.pass_on()
+                self.broker.serve_subscriptions()
+            got = client.receive_all()
+            heard += got
+            quiet = 0 if got or client.subscriber.poll(5) else quiet + 1
+        return heard
+
+    def close(self) -> None:
+        for client in self.clients:
+            client.close()
+        if self.broker is not None:
+            self.broker.close()
+
+
+@pytest.fixture
+def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+    made = Wire(request.node.name)
+    yield made
+    made.close()
+
+
+def test_connected_only_when_the_bus_has_answered(wire: Wire) -> None:
+    client = wire.client("a", Tick)
+    assert not client.connected
+    wire.turn(client)
+    assert client.connected
+
+
+def test_what_is_published_arrives_with_the_envelope_filled_in(wire: Wire) -> None:
+    a, b = wire.client("flora-flash"), wire.client("b", Tick)
+    wire.turn(a)
+    wire.turn(b)
+    a.publish(Tick(time_s=1.0, tick=3))
+    a.publish(Tick(time_s=2.0, tick=4))
+    first, second = wire.turn(b)
+    message = first.message  # type: ignore[attr-defined]
+    assert (message.source, message.session, message.seq, message.schema) == ("flora-flash", a.session, 1, 1)
+    assert (message.t_mono_ns, message.t_utc_ns, message.tick) == (5, 10**18, 3)
+    assert second.message.seq == 2  # type: ignore[attr-defined]
+    assert (b.counters.received, a.counters.sent) == (2, 2)
+
+
+def test_late_joiner_is_handed_the_last_value_and_others_know_the_repeat(wire: Wire) -> None:
+    a, early = wire.client("flora-flash"), wire.client("early", Tick)
+    wire.turn(a)
+    wire.turn(early)
+    for number in (1, 2, 3):
+        a.publish(Tick(time_s=1.0, tick=number))
+    assert len(wire.turn(early)) == 3
+    late = wire.client("late", Tick)
+    (kept,) = wire.turn(late)
+    assert kept.message.tick == 3  # type: ignore[attr-defined]
+    (repeat,) = wire.turn(early)
+    assert repeat.verdict == "repeated"  # type: ignore[attr-defined]
+    assert early.counters.duplicates == 1
+
+
+def test_what_is_said_before_there_is_a_bus_is_not_lost(wire: Wire) -> None:
+    a = wire.client("flora-flash")
+    for number in (1, 2, 3):
+        a.publish(Tick(time_s=1.0, tick=number))
+    b = wire.client("b", Tick)
+    heard = wire.turn(b)
+    wire.turn(a)
+    heard += wire.turn(b)
+    assert [h.message.tick for h in heard] == [1, 2, 3]  # type: ignore[attr-defined]
+
+
+def test_a_full_outbox_drops_the_oldest_and_counts() -> None:
+    client = BusClient(BusAddress("inproc://nobody-a", "inproc://nobody-b"), rig="box1", source="a", clock=FakeClock())
+    for _ in range(OUTBOX_LIMIT + 7):
+        client.publish(Tick(time_s=0.0))
+    assert client.counters.dropped == 7
+    client.close()
+
+
+def test_a_message_that_others_would_refuse_does_not_travel(wire: Wire) -> None:
+    a = wire.client("flora-led")
+    with pytest.raises(BadMessage, match="light"):
+        a.publish(LightCommand(light="left", output=float("nan")))
+    assert a.counters.sent == 0
+    a.publish(LightCommand(light="left"))
+    assert a._out.seq["light"] == 1  # no hole in the numbers
+
+
+def test_verdicts_of_what_cannot_be_read(wire: Wire) -> None:
+    client = wire.client("a", Tick)
+    client.subscriber.setsockopt(zmq.SUBSCRIBE, b"")
+    wire.turn(client)
+    for parts in ([b"box1/tick", b"\xc1", b"0"], [b"box1/nosuch", b"\x80", b"0"]):
+        client.publisher.send_multipart(parts)
+    bad, unknown = wire.turn(client)
+    assert (bad.verdict, unknown.verdict) == ("bad", "unknown")  # type: ignore[attr-defined]
+    assert "did you mean" in unknown.reason or "known:" in unknown.reason  # type: ignore[attr-defined]
+    assert (client.counters.bad, client.counters.unknown, client.counters.received) == (1, 1, 0)
+
+
+def test_somebody_elses_hello_is_no_message(wire: Wire) -> None:
+    everything = wire.client("monitor")
+    everything.subscriber.setsockopt(zmq.SUBSCRIBE, b"")
+    wire.turn(everything)
+    other = wire.client("other")
+    wire.turn(other)
+    assert wire.turn(everything) == []
+    assert everything.counters.bad == everything.counters.unknown == 0
+
+
+def parts_of(kind: str, rig: str = "box1", *, source: str = "flora-led", size: int = 0) -> list[bytes]:
+    message = Health(state="ready", source=source) if kind == "health" else Tick(time_s=0.0, source=source)
+    topic, payload, seconds = encode(rig, message)
+    if size:
+        payload = msgspec.msgpack.encode(msgspec.msgpack.decode(payload) | {"more": "x" * size})
+    return [topic, payload, seconds]
+
+
+def test_last_values_are_kept_per_topic_and_health_per_source() -> None:
+    values = LastValues()
+    values.keep(parts_of("tick", source="one"))
+    values.keep(parts_of("tick", source="two"))
+    values.keep(parts_of("health", source="one"))
+    values.keep(parts_of("health", source="two"))
+    values.keep([b"box1/nosuch", b"\x80", b"0"])
+    values.keep([b"box1/health", b"\xc1", b"0"])
+    assert len(values.matching(b"")) == 3
+    assert len(values.matching(b"box1/h")) == 2
+    assert values.matching(b"box2/") == []
+
+
+def test_last_values_are_bounded_in_number_and_bytes_and_the_oldest_goes() -> None:
+    values = LastValues()
+    for number in range(MAX_KEPT + 100):
+        values.keep(parts_of("tick", rig=f"r{number}"))
+    assert len(values.matching(b"")) == MAX_KEPT
+    assert values.matching(b"r0/") == []
+    assert len(values.matching(f"r{MAX_KEPT + 99}/".encode())) == 1
+    for number in range(MAX_KEPT_BYTES // 30_000 + 50):
+        values.keep(parts_of("health", source=f"s{number}", size=30_000))
+    assert sum(len(parts[1]) for parts in values.matching(b"")) <= MAX_KEPT_BYTES
+
+
+@pytest.mark.parametrize(
+    ("parts", "good"),
+    [
+        ([b"box1/tick", b"\x80", b"0"], True),
+        ([b"box1/tick", b"\x80", b"0", b"more"], True),
+        ([b"box1/tick", b"\x80"], False),
+        ([b"box1/tick", b"", b"0"], False),
+        ([b"box1/tick", b"x" * 32769, b"0"], False),
+        ([b"tick", b"\x80", b"0"], False),
+        ([b"\xff\xfe/tick", b"\x80", b"0"], False),
+        ([b"~hello/1234", b"\x80", b"0"], False),
+        ([b"box1/tick\n", b"\x80", b"0"], False),
+    ],
+)
+def test_form_that_the_bus_asks_for(parts: list[bytes], good: bool) -> None:
+    assert well_formed(parts) is good

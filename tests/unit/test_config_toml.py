@@ -1,0 +1,129 @@
+"""The rig's file: what is good, and what the user is told about each bad example in tests/golden/config/bad."""
+
+from __future__ import annotations
+
+import importlib
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import pytest
+
+from flora_common.config import SECTIONS, ClockSection, RigSection, config_text, load_config
+from flora_common.errors import BadRunFolder, ConfigError
+from flora_common.suggest import did_you_mean
+from flora_common.toml_strict import convert, read_toml, to_toml
+
+BAD = sorted((Path(__file__).parents[1] / "golden" / "config" / "bad").glob("*.toml"))
+
+
+def told(path: Path) -> tuple[str, str]:
+    """(expected sentence, command) of a bad example."""
+    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    assert lines[0].startswith("# expect: "), f"{path}: the first line must be `# expect: …`"
+    assert lines[1].startswith("# command: "), f"{path}: the second line must be `# command: …`"
+    expected = lines[0].removeprefix("# expect: ").format(file=path)
+    return expected, lines[1].removeprefix("# command: ")
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.stem)
+def test_bad_examples_are_told_in_one_line_with_status_two(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    expected, command = told(path)
+    main = importlib.import_module(command.replace("-", "_") + ".main").main
+    status = main(["--config", str(path), "--check-config"])
+    shown = capsys.readouterr()
+    assert (status, shown.out) == (2, "")
+    assert shown.err == f"{command}: {expected}\n"
+
+
+def test_there_are_bad_examples() -> None:
+    assert len(BAD) >= 15
+
+
+class OwnSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    speed: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 1.0
+    names: tuple[str, ...] = ("a", "b")
+    clock: ClockSection = ClockSection()
+    limit: float | None = None
+
+
+def test_defaults_hold_where_there_is_no_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("flora_common.config.DEFAULT_CONFIG", tmp_path / "none.toml")
+    assert load_config(None, "led", OwnSection) == (RigSection(), OwnSection())
+
+
+def test_the_default_file_is_read_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "flora.toml"
+    path.write_text('[rig]\nname = "north"\n')
+    monkeypatch.setattr("flora_common.config.DEFAULT_CONFIG", path)
+    assert load_config(None, "led", OwnSection)[0].name == "north"
+
+
+def test_a_file_that_was_asked_for_must_be_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read \(No such file or directory\)"):
+        load_config(tmp_path / "none.toml", "led", OwnSection)
+
+
+def test_other_services_sections_are_left_to_them(tmp_path: Path) -> None:
+    path = tmp_path / "flora.toml"
+    path.write_text("[led]\nspeed = 2\n[capture]\nwhatever = true\n[rig]\nhealth_every_s = 1\n")
+    rig, own = load_config(path, "led", OwnSection)
+    assert (rig.health_every_s, own.speed) == (1.0, 2.0)
+
+
+def test_what_is_printed_reads_back_the_same(tmp_path: Path) -> None:
+    rig = RigSection(name="north", clock=ClockSection(kind="twin", twin="tcp://127.0.0.1:5555"))
+    own = OwnSection(speed=0.25, names=("x", 'y "z"'), clock=ClockSection(twin="ipc://a b"))
+    path = tmp_path / "flora.toml"
+    path.write_text(config_text(rig, "led", own))
+    assert load_config(path, "led", OwnSection) == (rig, own)
+
+
+def test_print_config_of_a_service_reads_back(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from flora_recorder.core import RecorderSection
+    from flora_recorder.main import main
+
+    path = tmp_path / "flora.toml"
+    path.write_text("[recorder]\nflush_s = 5.0\n")
+    assert main(["--config", str(path), "--print-config"]) == 0
+    printed = capsys.readouterr().out
+    assert tomllib.loads(printed)["recorder"] == {"flush_s": 5.0, "rotate_h": 24.0, "rotate_mib": 16.0}
+    path.write_text(printed)
+    assert load_config(path, "recorder", RecorderSection) == (RigSection(), RecorderSection(flush_s=5.0))
+
+
+def test_check_config_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from flora_bus.main import main
+
+    (tmp_path / "flora.toml").write_text("")
+    assert main(["--config", str(tmp_path / "flora.toml"), "--check-config"]) == 0
+    assert capsys.readouterr().out == "flora-bus: configuration is good\n"
+
+
+def test_every_command_has_a_section() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert {name.removeprefix("flora-") for name in project["scripts"]} <= set(SECTIONS)
+
+
+def test_nested_tables_are_named_in_full(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("[clock]\nkin = 1\n")
+    with pytest.raises(BadRunFolder, match=r"a\.toml \[clock\]: unknown key `kin`; did you mean `kind`\?"):
+        convert(read_toml(tmp_path / "a.toml", BadRunFolder), OwnSection, where="a.toml", error=BadRunFolder)
+
+
+def test_none_is_left_out_of_toml() -> None:
+    assert "limit" not in to_toml(OwnSection())
+    assert "limit = 2.5" in to_toml(OwnSection(limit=2.5))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "clause"),
+    [
+        ("intervall_s", "; did you mean `interval_s`?"),
+        ("zzz", "; known: interval_s, rate"),
+    ],
+)
+def test_did_you_mean(wrong: str, clause: str) -> None:
+    assert did_you_mean(wrong, ["rate", "interval_s"]) == clause
+    assert did_you_mean(wrong, []) == ""

@@ -1,0 +1,112 @@
+"""Log lines: to a journal in the journal's place, to a terminal, and never twice for one lasting problem."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import types
+from typing import Any
+
+import pytest
+
+from flora_common.log import PRIORITIES, Log, choose_sink, journal_sink, terminal_sink
+
+Line = tuple[int, str, str, dict[str, Any]]
+
+
+def collect(**options: Any) -> tuple[Log, list[Line]]:
+    lines: list[Line] = []
+    return Log("flora-led", lambda *line: lines.append(line), **options), lines
+
+
+def test_priorities_are_syslogs() -> None:
+    assert PRIORITIES == {
+        logging.DEBUG: 7,
+        logging.INFO: 6,
+        logging.WARNING: 4,
+        logging.ERROR: 3,
+        logging.CRITICAL: 2,
+    }
+
+
+def test_levels_and_common_fields() -> None:
+    log, lines = collect(common={"run": "bean-07"})
+    log.debug("hidden")
+    log.event("frame_saved", tick=3)
+    log.error("gone", reason="x")
+    assert lines == [
+        (logging.INFO, "flora-led", "frame_saved", {"run": "bean-07", "tick": 3}),
+        (logging.ERROR, "flora-led", "gone", {"run": "bean-07", "reason": "x"}),
+    ]
+
+
+def test_a_lasting_problem_is_told_when_it_begins_changes_and_ends() -> None:
+    log, lines = collect()
+    for reason in ("no NAS", "no NAS", "no NAS", "read-only", "read-only"):
+        log.problem("nas", reason)
+    log.solved("nas")
+    log.solved("nas")
+    assert [(text, fields.get("reason")) for _, _, text, fields in lines] == [
+        ("nas", "no NAS"),
+        ("nas", "read-only"),
+        ("nas_solved", None),
+    ]
+
+
+def test_terminal_line(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal_sink(logging.WARNING, "flora-led", "capped", {"run": "bean", "share": 0.123456789, "why": "too much"})
+    assert capsys.readouterr().err == "W flora-led capped share=0.123457 why='too much'\n"
+
+
+class FakeJournal:
+    """systemd.journal, as far as we use it."""
+
+    def __init__(self) -> None:
+        self.sent: list[dict[str, Any]] = []
+        self.is_gone = False
+
+    def send(self, message: str, **fields: Any) -> None:
+        if self.is_gone:
+            raise ConnectionRefusedError("no journal")
+        self.sent.append({"MESSAGE": message, **fields})
+
+
+@pytest.fixture
+def journal(monkeypatch: pytest.MonkeyPatch) -> FakeJournal:
+    fake = FakeJournal()
+    module = types.ModuleType("systemd")
+    module.journal = fake  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "systemd", module)
+    return fake
+
+
+def test_journal_lines_are_structured(journal: FakeJournal) -> None:
+    log = Log("flora-capture", journal_sink(), common={"run": "bean-07"})
+    log.warning("camera_hung", tick=3, after_s=25.0)
+    assert journal.sent == [
+        {
+            "MESSAGE": "camera_hung run=bean-07 tick=3 after_s=25",
+            "PRIORITY": 4,
+            "SYSLOG_IDENTIFIER": "flora-capture",
+            "FLORA_EVENT": "camera_hung",
+            "FLORA_RUN": "bean-07",
+            "FLORA_TICK": "3",
+            "FLORA_AFTER_S": "25.0",
+        }
+    ]
+
+
+def test_a_journal_that_is_gone_stops_no_work(journal: FakeJournal, capsys: pytest.CaptureFixture[str]) -> None:
+    journal.is_gone = True
+    Log("flora-led", journal_sink()).event("lit")
+    assert capsys.readouterr().err == "flora-led: journal not reachable (no journal): lit \n"
+
+
+def test_the_journal_is_chosen_under_systemd_only(journal: FakeJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+    assert choose_sink() is terminal_sink
+    monkeypatch.setenv("JOURNAL_STREAM", "8:12345")
+    choose_sink()(logging.INFO, "flora-led", "lit", {})
+    assert journal.sent[0]["FLORA_EVENT"] == "lit"
+    monkeypatch.setitem(sys.modules, "systemd", None)
+    assert choose_sink() is terminal_sink

@@ -1,0 +1,229 @@
+"""The service loop as a process: ready, alive, hung, ended, a bug, an expected failure, started twice."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flora_common.messages import Health, Tick
+
+SERVICE = """
+import sys
+import threading
+
+import msgspec
+
+from flora_common.errors import CameraGone
+from flora_common.messages import Tick
+from flora_common.service import App, run_service
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+def build(app):
+    def on_tick(tick):
+        if tick.shot == "hang":
+            threading.Event().wait()
+        if tick.shot == "bug":
+            raise ZeroDivisionError("a bug")
+        if tick.shot == "expected":
+            raise CameraGone("no camera at /dev/video7; is it plugged in?")
+        if tick.shot == "well":
+            app.state("ready")
+
+    app.on(Tick, on_tick)
+    app.on_exit(lambda: print("dark", flush=True))
+
+
+sys.exit(run_service("flora-twin", Section, build))
+"""
+
+PING_EVERY_S = 0.3
+
+
+class Systemd:
+    """A socket in systemd's place."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = str(folder / "n")
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(self.path)
+        self.socket.settimeout(20.0)
+        self.environment = {"NOTIFY_SOCKET": self.path, "WATCHDOG_USEC": str(round(PING_EVERY_S * 3 * 1e6))}
+
+    def hear(self) -> list[str]:
+        return self.socket.recv(4096).decode().splitlines()
+
+    def until(self, wanted: str) -> list[list[str]]:
+        heard = [self.hear()]
+        while not any(line.startswith(wanted) for line in heard[-1]):
+            heard.append(self.hear())
+        return heard
+
+    def is_silent_for(self, seconds: float) -> bool:
+        self.socket.settimeout(seconds)
+        try:
+            self.hear()
+        except TimeoutError:
+            return True
+        finally:
+            self.socket.settimeout(20.0)
+        return False
+
+
+@pytest.fixture
+def systemd(bus: Any) -> Iterator[Systemd]:
+    made = Systemd(Path(bus.address.publish.removeprefix("ipc://")).parent)
+    yield made
+    made.socket.close()
+
+
+@pytest.fixture
+def service(bus: Any, systemd: Systemd) -> Any:
+    script = bus.folder / "service.py"
+    script.write_text(SERVICE, encoding="utf-8")
+
+    def start() -> subprocess.Popen[str]:
+        process: subprocess.Popen[str] = bus.start_service(str(script), env=systemd.environment)
+        return process
+
+    return start
+
+
+def start_command(bus: Any, shot: str) -> Any:
+    client = bus.client("flora-flash")
+    bus.wait_ready(client, "flora-twin")
+    client.publish(Tick(tick=1, time_s=0.0, shot=shot))
+    return client
+
+
+def test_ready_is_said_only_when_the_bus_has_answered(bus: Any, systemd: Systemd, service: Any) -> None:
+    service()
+    heard = systemd.until("STATUS=starting: waiting for the bus")
+    for _ in range(4):
+        heard += systemd.until("WATCHDOG=1")  # it lives, and waits
+    assert not any("READY=1" in lines for lines in heard)
+    bus.start_service("flora-bus")
+    assert "STATUS=ready" in systemd.until("READY=1")[-1]
+
+
+def test_health_is_on_the_bus(bus: Any, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    client = bus.client()
+    heard = bus.hear(client, lambda heard: sum(from_service(a) for a in heard) >= 3)
+    health = [a.message for a in heard if from_service(a)]
+    first = health[0].seq
+    assert [h.seq for h in health] == [first, first + 1, first + 2]
+    assert all(h.state == "ready" for h in health)
+    assert 5_000 < health[-1].resident_kib < 200_000
+    assert health[-1].sent == first + 1
+    assert len(health[-1].config_sha256) == 64
+    assert process.poll() is None
+
+
+def from_service(arrival: Any) -> bool:
+    return isinstance(arrival.message, Health) and arrival.message.source == "flora-twin"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("has_bus", [True, False])
+def test_a_signal_ends_it_well_within_a_second(
+    bus: Any, systemd: Systemd, service: Any, number: signal.Signals, has_bus: bool
+) -> None:
+    if has_bus:
+        bus.start_service("flora-bus")
+    process = service()
+    systemd.until("READY=1" if has_bus else "WATCHDOG=1")
+    began_s = time.monotonic()
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    took_s = time.monotonic() - began_s
+    assert process.returncode == 0, err
+    assert out == "dark\n"
+    assert took_s < 1.0
+    assert systemd.until("STOPPING=1")
+
+
+def test_a_hung_handler_starves_the_watchdog(bus: Any, systemd: Systemd, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    start_command(bus, "hang")
+    end_s = time.monotonic() + 20
+    while not systemd.is_silent_for(4 * PING_EVERY_S):
+        assert time.monotonic() < end_s, "it goes on saying that it is alive"
+    assert process.poll() is None
+
+
+def test_a_bug_keeps_its_traceback_and_leaves_things_dark(bus: Any, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    start_command(bus, "bug")
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "Traceback" in err
+    assert "ZeroDivisionError: a bug" in err
+    assert out == "dark\n"
+
+
+def test_an_expected_failure_degrades_and_is_told_and_the_rest_goes_on(bus: Any, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    client = start_command(bus, "expected")
+    reason = "no camera at /dev/video7; is it plugged in?"
+    is_told = lambda a: from_service(a) and (a.message.state, a.message.reason) == ("degraded", reason)  # noqa: E731
+    bus.hear(client, lambda heard: any(is_told(a) for a in heard))
+    client.publish(Tick(tick=2, time_s=1.0, shot="well"))
+    bus.hear(client, lambda heard: any(from_service(a) and a.message.state == "ready" for a in heard))
+    status, _, err = bus.stop(process)
+    assert status == 0
+    assert err.count(reason) == 1
+
+
+def test_messages_behind_one_that_fails_are_handled(bus: Any, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    client = bus.client("flora-flash")
+    bus.wait_ready(client, "flora-twin")
+    process.send_signal(signal.SIGSTOP)  # so that both are there at once
+    client.publish(Tick(tick=1, time_s=0.0, shot="expected"))
+    client.publish(Tick(tick=2, time_s=0.0, shot="bug"))
+    bus.hear(client, lambda heard: sum(isinstance(a.message, Tick) for a in heard) == 2)
+    process.send_signal(signal.SIGCONT)
+    process.communicate(timeout=20)
+    assert process.returncode == 1
+
+
+def test_a_second_one_is_refused_and_a_killed_one_leaves_no_lock(bus: Any, systemd: Systemd, service: Any) -> None:
+    bus.start_service("flora-bus")
+    first = service()
+    systemd.until("READY=1")
+    second = service()
+    _, err = second.communicate(timeout=20)
+    assert second.returncode == 2
+    assert err == f"flora-twin: flora-twin already runs for rig `test` (pid {first.pid}); stop it first\n"
+    os.kill(first.pid, signal.SIGKILL)
+    first.wait()
+    service()
+    systemd.until("READY=1")
+
+
+def test_a_bus_that_comes_back_is_told_everything_again(bus: Any, systemd: Systemd, service: Any) -> None:
+    broker = bus.start_service("flora-bus")
+    service()
+    systemd.until("READY=1")
+    broker.kill()
+    broker.wait()
+    bus.start_service("flora-bus")
+    client = bus.client("late")
+    bus.wait_ready(client, "flora-twin", "flora-bus")
