@@ -23,7 +23,7 @@ DAMAGED_SUFFIX: Final = ".damaged"
 MAX_RECORD_BYTES: Final = 64 << 20
 """A longer MCAP record, or chunk unpacked, is not one of ours: it is refused before memory is taken for it."""
 
-_TORN: Final = (McapError, ValueError, KeyError, struct.error, zstandard.ZstdError, EOFError)
+_TORN: Final = (McapError, ValueError, KeyError, OverflowError, struct.error, zstandard.ZstdError, EOFError)
 """What the library raises on files that are cut or damaged. CRC failures and bad text are ValueErrors."""
 
 
@@ -47,6 +47,20 @@ class Recorded:
     def is_readable(self) -> bool:
         """False for what did not fit the catalogue when it was recorded."""
         return not self.topic.endswith(UNREADABLE)
+
+
+class _Strict:
+    """A file whose reads are whole or fail: the library itself takes short reads, and memory for any length told."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._size = file.seek(0, 2)
+        file.seek(0)
+
+    def read(self, length: int) -> bytes:
+        if length > self._size - self._file.tell():
+            raise EOFError("the file ends before that")
+        return self._file.read(length)
 
 
 class RecordingReader:
@@ -92,7 +106,12 @@ class RecordingReader:
                 self.problem = f"not readable after byte {self.whole_bytes} ({text})"
 
     def _messages(self, file: IO[bytes]) -> Iterator[Message]:
-        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        reader = StreamReader(
+            _Strict(file),  # type: ignore[arg-type]  # of a stream it uses nothing but read
+            emit_chunks=True,
+            validate_crcs=True,
+            record_size_limit=MAX_RECORD_BYTES,
+        )
         self.whole_bytes = 0
         for record in reader.records:
             for item in _unpacked(record) if isinstance(record, Chunk) else [record]:
@@ -103,6 +122,8 @@ class RecordingReader:
                 elif isinstance(item, Metadata):
                     self.metadata.update(item.metadata)
                 elif isinstance(item, Message):
+                    if record is item:
+                        raise ValueError("a message outside of a chunk, where no check sum covers it")
                     if item.channel_id not in self.channels:
                         raise ValueError(f"a message of channel {item.channel_id}, which is not declared")
                     yield item

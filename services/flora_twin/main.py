@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Annotated, Final
 
 import typer
 
-from flora_common.cli import run_typer, version_line
+from flora_common.cli import print_version, run_typer
 from flora_twin import commands
 from flora_twin.rig import demo
 
@@ -22,22 +22,26 @@ def build_app() -> typer.Typer:
     """The application with all commands."""
     app = typer.Typer(name=PROGRAM, add_completion=False, pretty_exceptions_enable=False)
 
-    @app.callback(invoke_without_command=True)
-    def root(version: bool = typer.Option(False, "--version", help="Print the version and end.")) -> None:
-        """The virtual grow box: a physical plant, lamps, flash, camera and time."""
-        if version:
-            typer.echo(version_line(PROGRAM))
-            raise typer.Exit
+    @app.callback()
+    def root(
+        version: Annotated[
+            bool,
+            typer.Option(
+                "--version", help="Print the version and end.", is_eager=True, callback=print_version(PROGRAM)
+            ),
+        ] = False,
+    ) -> None:
+        """flora-twin: the virtual grow box (a physical plant, lamps, flash, camera and time), and the demo in it."""
 
     for register in REGISTER:
         register(app)
     return app
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_typer(PROGRAM, build_app))
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status: 0, 2 for bad input, 1 otherwise."""
+    return run_typer(PROGRAM, build_app, argv)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -125,9 +125,9 @@ def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
     good = open_path.read_bytes()
     payloads = {r.payload for r in RecordingReader(open_path)}
     draw = random.Random(1)
-    for _ in range(400):
+    for place in range(8, len(good), len(good) // 2000 + 1):
         data = bytearray(good)
-        data[draw.randrange(8, len(data))] ^= 1 << draw.randrange(8)
+        data[place] ^= 1 << draw.randrange(8)
         open_path.write_bytes(data)
         recorded, problem = read(open_path)
         assert problem  # the end of file is missing in any case; what counts is that nothing else is raised

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from flora_common.errors import FloraError
+from flora_common.errors import BadInput, FloraError
 
 RESTART_AFTER_S: Final = 0.1
 START_LIMIT: Final = 20
@@ -32,6 +32,10 @@ DARKENED: Final = ("flora-led", "flora-flash")
 
 class ServiceFailed(FloraError):
     """A service of the virtual rig does not start, or keeps dying."""
+
+
+class ServiceRefused(BadInput):
+    """A service of the virtual rig was given something that it cannot use."""
 
 
 @dataclass
@@ -169,7 +173,9 @@ class Supervisor:
         child.process = None
         self._stop_post(child)
         child.deaths.append(now_s)
-        if status == 2 or (len(child.deaths) == START_LIMIT and now_s - child.deaths[0] < START_LIMIT_WINDOW_S):
+        if status == BadInput.exit_status:
+            raise ServiceRefused(self._last_line(child.name))
+        if len(child.deaths) == START_LIMIT and now_s - child.deaths[0] < START_LIMIT_WINDOW_S:
             raise ServiceFailed(f"{child.name} ended with status {status}: {self._last_line(child.name)}")
         child.restart_at_s = now_s + RESTART_AFTER_S
 

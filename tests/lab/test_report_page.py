@@ -1,0 +1,98 @@
+"""``flora-lab report``: the run in numbers, and the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from flora_common.files import write_bytes, write_text
+from flora_common.geometry import STEM_POINTS
+from flora_common.runs import CameraSection, Light, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+from flora_lab.main import main
+from flora_lab.report.summary import summarise
+
+CAMERA = CameraSection(anchor_px=(80.0, 110.0), px_per_cm=5.0, width_px=160, height_px=120)
+
+
+def make_run(path: Path, tips: list[tuple[float, float]], *, obstacle: bool = True, target: bool = True) -> RunFolder:
+    """A run of straight stems, one photograph an hour; lamps change half way."""
+    folder = RunFolder(path)
+    run = RunFile(
+        camera=CAMERA,
+        interval_s=3600.0,
+        target=TargetSection(x_cm=-5.0, y_cm=15.0) if target else None,
+        obstacle=ObstacleSection(x_cm=6.0, y_cm=8.0, width_cm=4.0, height_cm=2.0) if obstacle else None,
+    )
+    write_text(folder.run_toml, run_file_text(run))
+    picture = np.full((120, 160, 3), 40, dtype=np.uint8)
+    for i, tip in enumerate(tips):
+        file = f"frames/{i:06d}.jpg"
+        write_bytes(folder.path / file, cv2.imencode(".jpg", picture)[1].tobytes())
+        light: Light = "left" if i < len(tips) // 2 else "right"
+        folder.append_frame(file, 3600.0 * i, light)
+        folder.append_track(3600.0 * i, light, np.outer(np.linspace(0, 1, STEM_POINTS), tip))
+    return folder
+
+
+def test_fitness_target_and_stop_rule_as_the_paper_defines_them(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12), (-4, 14), (-5, 15), (-5, 21.5), (-6, 24)])
+    summary = summarise(run)
+    assert summary.stop_row == 4
+    assert summary.stop_reason == "the tip was 21 cm high"
+    # F = (x_r + y_r) / (|x*| + |y*|), by hand.
+    assert summary.fitness_at_target == pytest.approx((20 - 1 - 1) / 20)
+    assert summary.reached_h == 2.0
+    assert summary.best_fitness == pytest.approx(1.0)
+    assert summary.fitness_at_stop == pytest.approx((20 - 0 - 6.5) / 20)
+    assert summary.collided_h is None
+    assert summary.switches == 1
+
+
+def test_a_touched_obstacle_ends_the_run(tmp_path: Path) -> None:
+    summary = summarise(make_run(tmp_path / "run", [(0, 7), (8, 10), (-5, 15)]))
+    assert summary.stop_reason == "the stem touched the obstacle"
+    assert (summary.stop_row, summary.collided_h, summary.clearance_cm) == (1, 1.0, 0.0)
+
+
+def test_the_page_stands_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12), (-5, 15)])
+    pages = []
+    for name in ("a", "b"):
+        page, strip = tmp_path / f"{name}.html", tmp_path / f"{name}.png"
+        arguments = ["report", str(run.path), "-o", str(page), "--strip", str(strip), "--note", "who=<me>"]
+        assert main(arguments) == 0
+        assert cv2.imread(str(strip)).shape[1] > 100
+        pages.append(page.read_text())
+    assert pages[0] == pages[1]
+    assert "http" not in pages[0].replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "https://matplotlib.org/", ""
+    ).replace("http://creativecommons.org", "")
+    assert "&lt;me&gt;" in pages[0]
+    assert "100.0 %" in pages[0]
+
+
+def test_numbers_for_scripts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12)], obstacle=False, target=False)
+    assert main(["report", str(run.path), "-o", str(tmp_path / "r.html"), "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["frames"] == numbers["readings"] == 2
+    assert numbers["fitness_at_stop"] is None
+    assert numbers["clearance_cm"] is None
+
+
+@pytest.mark.parametrize("missing", ["run.toml", "frames.csv", "track.csv"])
+def test_an_incomplete_run_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], missing: str
+) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12)])
+    (run.path / missing).unlink()
+    page = tmp_path / "r.html"
+    assert main(["report", str(run.path), "-o", str(page)]) == 2
+    said = capsys.readouterr().err
+    assert missing in said
+    assert said.count("\n") == 1
+    assert not page.exists()

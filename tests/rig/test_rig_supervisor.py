@@ -1,0 +1,148 @@
+"""The virtual rig's supervisor does what systemd does: READY, restart, start limit, darkening, polite stop."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from flora_common.errors import BadInput
+from flora_common.runs import RunFile
+from flora_twin.box import camera_section
+from flora_twin.main import main
+from flora_twin.rig.demo import parse_speed
+from flora_twin.rig.layout import make_layout, remove_sockets
+from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, wait_until
+
+READY = """
+import os, signal, socket, sys
+s = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+s.sendto(b"READY=1", os.environ["NOTIFY_SOCKET"])
+signal.sigwait([signal.SIGTERM])
+"""
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    with tempfile.TemporaryDirectory(prefix="flora-") as sockets:
+        one = Supervisor(Path(sockets), tmp_path)
+        yield one
+        one.stop_all()
+
+
+def python(code: str) -> list[str]:
+    # The signal is blocked before READY, so that sigwait and not the default action takes it.
+    return [sys.executable, "-c", "import signal; signal.pthread_sigmask(0, [signal.SIGTERM])\n" + code]
+
+
+def test_ready_is_heard_and_sigterm_ends_it(supervisor: Supervisor) -> None:
+    supervisor.start("a", python(READY))
+    assert supervisor.children["a"].ready
+    assert supervisor.stop("a") == 0
+
+
+def test_a_dead_process_is_started_again_and_becomes_ready(supervisor: Supervisor) -> None:
+    supervisor.start("a", python(READY))
+    first = supervisor.children["a"].pid
+    supervisor.kill("a", signal.SIGKILL)
+    wait_until(
+        lambda: supervisor.children["a"].restarts == 1 and supervisor.children["a"].ready,
+        within_s=20.0,
+        poll=supervisor.poll,
+        what="second life",
+    )
+    assert supervisor.children["a"].pid != first
+
+
+def test_bad_configuration_is_not_tried_again(supervisor: Supervisor) -> None:
+    supervisor.launch("a", [sys.executable, "-c", "print('flora.toml: bad'); raise SystemExit(2)"])
+    with pytest.raises(ServiceRefused, match=r"^flora\.toml: bad"):
+        supervisor.wait_ready(["a"], within_s=20.0)
+
+
+def test_a_crash_loop_ends(supervisor: Supervisor) -> None:
+    supervisor.launch("a", ["false"])
+    with pytest.raises(ServiceFailed, match="ended with status 1"):
+        supervisor.wait_ready(["a"], within_s=60.0)
+
+
+def test_lamps_are_darkened_after_every_death(supervisor: Supervisor, tmp_path: Path) -> None:
+    log = tmp_path / "calls"
+    code = f"""
+import sys
+open({str(log)!r}, 'a').write(' '.join(sys.argv[1:]) + ';')
+if '--dark' in sys.argv: sys.exit()
+"""
+    supervisor.start("flora-led", python(code + READY))
+    supervisor.kill("flora-led")
+    wait_until(
+        lambda: supervisor.children["flora-led"].restarts == 1 and supervisor.children["flora-led"].ready,
+        within_s=20.0,
+        poll=supervisor.poll,
+        what="second life",
+    )
+    supervisor.stop("flora-led")
+    assert log.read_text() == ";--dark;;--dark;"
+
+
+def test_what_a_dead_service_leaves_running_goes_with_it(supervisor: Supervisor, tmp_path: Path) -> None:
+    pid_file = tmp_path / "pid"
+    code = (
+        f"import subprocess; p = subprocess.Popen(['sleep', '600']); open({str(pid_file)!r}, 'w').write(str(p.pid))\n"
+    )
+    supervisor.start("a", python(code + READY))
+    supervisor.kill("a")
+    child = Path("/proc") / pid_file.read_text() / "cmdline"
+    wait_until(
+        lambda: not child.exists() or child.read_bytes() == b"", within_s=10.0, poll=supervisor.poll, what="its end"
+    )
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
+    keep = tmp_path / "thesis.tex"
+    keep.write_text("years of work")
+    with pytest.raises(BadInput, match="holds other files"):
+        make_layout(tmp_path, RunFile(camera=camera_section()))
+    assert keep.read_text() == "years of work"
+
+
+def test_a_layout_is_made_anew_in_its_own_folder(tmp_path: Path) -> None:
+    first = make_layout(tmp_path / "rig", RunFile(camera=camera_section()))
+    (first.run.path / "old").touch()
+    remove_sockets(first)
+    second = make_layout(tmp_path / "rig", RunFile(camera=camera_section()))
+    assert not (second.run.path / "old").exists()
+    assert second.run.read_run_file().camera == camera_section()
+    remove_sockets(second)
+    assert not second.sockets.exists()
+
+
+@pytest.mark.parametrize(("text", "rate"), [("lockstep", 0.0), ("realtime", 1.0), ("300", 300.0)])
+def test_speeds(text: str, rate: float) -> None:
+    assert parse_speed(text) == rate
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--speed", "warp"], "write lockstep, realtime, or a number"),
+        (["--speed", "-3"], "write lockstep, realtime, or a number"),
+        (["--fault", "nas_gon@3h"], "did you mean `nas_gone`?"),
+        (["--hours", "0"], "0"),
+    ],
+)
+def test_bad_demo_arguments_end_with_one_line_and_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
+) -> None:
+    began_s = time.monotonic()
+    assert main(["demo", "--out", str(tmp_path / "out"), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.strip().count("\n") == 0
+    assert not (tmp_path / "out").exists()
+    assert time.monotonic() - began_s < 30.0
