@@ -134,3 +134,10 @@ def bus(tmp_path: Path) -> Iterator[PrivateBus]:
             yield private
         finally:
             private.close()
+
+
+"""For all tests."""
+
+
+# Read once per process, by whichever test opens a film first: the library is not to write beside the commands' own line.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

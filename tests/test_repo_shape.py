@@ -16,6 +16,8 @@ SERVICES = sorted(p.name for p in (ROOT / "services").iterdir() if p.is_dir() an
 COMMANDS = sorted(PROJECT["project"]["scripts"])
 NO_UNIT = {"flora-monitor", "flora-twin", "flora-lab"}
 """Commands that a person types; nothing to start at boot."""
+LEAN = {"flora-bus", "flora-flash", "flora-capture", "flora-led", "flora-uploader", "flora-recorder"}
+"""Services that only move messages and files: numpy alone would add a third to the memory of each."""
 LEARNING = ("torch", "neat", "numba", "scipy", "statsmodels", "matplotlib")
 
 
@@ -80,6 +82,14 @@ def test_changelog_speaks_of_the_current_version() -> None:
 def test_a_pi_process_loads_nothing_of_the_learning_stack(command: str) -> None:
     package = command.replace("-", "_")
     code = f"import sys, {package}.main; print([m for m in {LEARNING!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", sorted(LEAN))
+def test_a_small_service_stays_small(command: str) -> None:
+    package = command.replace("-", "_")
+    code = f"import sys, {package}.main; print([m for m in ('numpy', 'cv2', 'rich', 'typer') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -35,10 +35,10 @@ import msgspec
 
 from flora_common.errors import BadController
 from flora_common.files import sha256_of_bytes
-from flora_common.geometry import STEM_POINTS, Obstacle, Target
 from flora_common.network import Network
 from flora_common.network_export import NetworkExport, Number, Strict, network_from
 from flora_common.runs import ObstacleSection, TargetSection
+from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert
 

@@ -11,18 +11,17 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
-import numpy as np
 
 from flora_common import files
 from flora_common.errors import BadRunFolder
-from flora_common.geometry import STEM_POINTS, FloatArray, Obstacle, Target
+from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
@@ -32,6 +31,9 @@ LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
 Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]
 Px = Annotated[float, msgspec.Meta(ge=-20_000.0, le=20_000.0)]
+
+Points = Iterable[Iterable[float]]
+"""Points (x, y) in cm: an array of shape (n, 2), or tuples."""
 
 FRAMES_HEADER: Final = "file,time_s,light"
 TRACK_HEADER: Final = "time_s,light," + ",".join(f"x{i},y{i}" for i in range(1, STEM_POINTS + 1))
@@ -100,23 +102,6 @@ class FrameRow:
     covariates: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """A measured run as arrays.
-
-    Attributes:
-        time_s: shape (n,), strictly increasing.
-        light: length n.
-        points_cm: shape (n, 10, 2); point 0 is the anchor (0, 0), point 9 the tip.
-        covariates: name to shape (n,).
-    """
-
-    time_s: FloatArray
-    light: tuple[Light, ...]
-    points_cm: FloatArray
-    covariates: dict[str, FloatArray]
-
-
 class RunFolder:
     """Paths, reading and writing of one run folder."""
 
@@ -149,62 +134,31 @@ class RunFolder:
     def read_frames(self) -> list[FrameRow]:
         """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights."""
         rows: list[FrameRow] = []
-        for line, row in _read_csv(self.frames_csv, FRAMES_HEADER.split(",")):
+        for line, row in read_csv(self.frames_csv, FRAMES_HEADER.split(",")):
             where = f"{self.frames_csv} line {line}"
             file = row.pop("file")
             path = Path(file)
             if not file or path.is_absolute() or ".." in path.parts:
                 raise BadRunFolder(f"{where}: file `{file}` must be a relative path inside the run folder")
-            time_s = _number(row.pop("time_s"), "time_s", where)
-            light = _light(row.pop("light"), where)
+            time_s = finite_number(row.pop("time_s"), "time_s", where)
+            light = known_light(row.pop("light"), where)
             if rows and time_s <= rows[-1].time_s:
                 raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {rows[-1].time_s:g} in the line before")
-            rows.append(FrameRow(file, time_s, light, {k: _number(v, k, where) for k, v in row.items()}))
+            rows.append(FrameRow(file, time_s, light, {k: finite_number(v, k, where) for k, v in row.items()}))
         return rows
 
     def append_frame(self, file: str, time_s: float, light: Light) -> None:
         """Add a line to ``frames.csv``, flushed to the disk."""
         files.append_line(self.frames_csv, f"{file},{time_s:.3f},{light}", header=FRAMES_HEADER)
 
-    def append_track(self, time_s: float, light: Light, points_cm: FloatArray) -> None:
+    def append_track(self, time_s: float, light: Light, points_cm: Points) -> None:
         """Add a line to ``track.csv``, flushed to the disk."""
         files.append_line(self.track_csv, track_line(time_s, light, points_cm), header=TRACK_HEADER)
 
 
-def track_line(time_s: float, light: Light, points_cm: FloatArray) -> str:
+def track_line(time_s: float, light: Light, points_cm: Points) -> str:
     """One line of ``track.csv``: micrometres are enough digits."""
-    return f"{time_s:.3f},{light}," + ",".join(f"{v:.4f}" for v in np.asarray(points_cm).reshape(-1))
-
-
-def read_track(path: Path) -> Track:
-    """A track file, checked.
-
-    Raises:
-        BadRunFolder: missing columns, numbers that are not finite, times that do not increase, fewer than one row.
-    """
-    times: list[float] = []
-    lights: list[Light] = []
-    points: list[list[float]] = []
-    covariates: dict[str, list[float]] = {}
-    names = TRACK_HEADER.split(",")
-    for line, row in _read_csv(path, names):
-        where = f"{path} line {line}"
-        time_s = _number(row.pop("time_s"), "time_s", where)
-        if times and time_s <= times[-1]:
-            raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {times[-1]:g} in the line before")
-        times.append(time_s)
-        lights.append(_light(row.pop("light"), where))
-        points.append([_number(row.pop(name), name, where) for name in names[2:]])
-        for name, value in row.items():
-            covariates.setdefault(name, []).append(_number(value, name, where))
-    if not times:
-        raise BadRunFolder(f"{path}: holds no rows")
-    return Track(
-        np.array(times),
-        tuple(lights),
-        np.array(points).reshape(-1, STEM_POINTS, 2),
-        {name: np.array(values) for name, values in covariates.items()},
-    )
+    return f"{time_s:.3f},{light}," + ",".join(f"{x:.4f},{y:.4f}" for x, y in points_cm)
 
 
 def run_file_text(run: RunFile) -> str:
@@ -212,7 +166,12 @@ def run_file_text(run: RunFile) -> str:
     return to_toml(run)
 
 
-def _read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
+def read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    """Line number and values by column of each row.
+
+    Raises:
+        BadRunFolder: unreadable, not CSV, a required column is missing, a row of another length.
+    """
     try:
         text = path.read_bytes().decode()
     except OSError as problem:
@@ -239,7 +198,8 @@ def _read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, 
         yield number, dict(zip(header, row, strict=True))
 
 
-def _number(text: str, name: str, where: str) -> float:
+def finite_number(text: str, name: str, where: str) -> float:
+    """A finite number, or :class:`BadRunFolder` with column and line."""
     try:
         value = float(text)
     except ValueError:
@@ -249,7 +209,8 @@ def _number(text: str, name: str, where: str) -> float:
     return value
 
 
-def _light(text: str, where: str) -> Light:
+def known_light(text: str, where: str) -> Light:
+    """A lamp state by name, or :class:`BadRunFolder` with the line."""
     for light in LIGHTS:
         if text == light:
             return light

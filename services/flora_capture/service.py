@@ -7,7 +7,6 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from flora_capture.core import LockedExposure, Sequence, Shot, exposure_note, exposure_of
-from flora_capture.jpeg import picture_size
 from flora_capture.process import CameraProcess
 from flora_capture.store import FrameRecord, Store
 from flora_capture.wire import Answer, CameraSettings, ColourGain, Request
@@ -16,6 +15,7 @@ from flora_common.messages import Flash, Frame, FrameMissed, Lamps
 from flora_common.messages.catalogue import MissedBecause
 from flora_common.runs import CameraSection
 from flora_common.service import App, Timer
+from flora_common.vision.header import picture_size
 
 TRIES: Final = 2
 """A torn picture is taken once more."""
@@ -168,7 +168,7 @@ class CaptureService:
             try:
                 if answer.problem:
                     raise BadPicture(answer.reason)
-                size_px = picture_size(answer.jpeg)
+                size_px = picture_size(answer.jpeg, where="photograph")
             except BadPicture as problem:
                 self._bad_picture(shot, problem)
             else:

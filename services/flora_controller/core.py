@@ -11,9 +11,10 @@ from typing import Annotated, Final, Literal
 import msgspec
 import numpy as np
 
-from flora_common.geometry import STEM_POINTS, FloatArray, Obstacle, Target, clearance_cm, fitness
+from flora_common.geometry import FloatArray, clearance_cm, fitness
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.runs import Light
+from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_controller.record import Record
 from flora_controller.steering import (
     Decision,

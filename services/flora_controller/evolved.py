@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from flora_common.controller_file import LoadedController
-from flora_common.geometry import Obstacle, Target
 from flora_common.network import NotFinite
+from flora_common.shapes import Obstacle, Target
 from flora_controller.steering import Decision, Memory, View
 
 LEFT_AT_MOST = 0.5

@@ -14,10 +14,10 @@ from flora_common.cli import run_cli
 from flora_common.controller_file import SUFFIX, load_controller
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import sha256_of_bytes
-from flora_common.geometry import Obstacle, Target
 from flora_common.messages import Setup, Stem
 from flora_common.runs import RunFile, RunFolder
 from flora_common.service import App, run_service
+from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerCore, ControllerSection
 from flora_controller.record import RECORD_FILE, read_record, write_record
 from flora_controller.source import FileSource, FixedSource, built_in, kept_file

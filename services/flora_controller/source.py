@@ -14,7 +14,7 @@ from typing import Final, get_args
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller, parse_controller
 from flora_common.errors import BadController, ConfigError, StoreError
 from flora_common.files import sha256_of_bytes, write_bytes
-from flora_common.geometry import Obstacle, Target
+from flora_common.shapes import Obstacle, Target
 from flora_common.suggest import did_you_mean
 from flora_controller.core import BuiltIn, ControllerSection
 from flora_controller.evolved import Evolved

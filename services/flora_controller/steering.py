@@ -14,8 +14,9 @@ from typing import Annotated, Final, Literal, Protocol
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, Obstacle, Target, clearance_cm
+from flora_common.geometry import FloatArray, clearance_cm
 from flora_common.runs import Light
+from flora_common.shapes import Obstacle, Target
 
 Memory = Mapping[str, float]
 Side = Literal["left", "right"]

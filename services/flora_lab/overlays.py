@@ -17,8 +17,8 @@ import numpy as np
 
 from flora_common import files
 from flora_common.errors import BadInput, BadPicture, StoreError
-from flora_common.geometry import Obstacle, Target
 from flora_common.runs import CameraSection
+from flora_common.shapes import Obstacle, Target
 from flora_common.vision import draw
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.picture import Picture

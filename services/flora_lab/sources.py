@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 
 from flora_common.errors import BadInput, BadPicture
-from flora_common.geometry import Obstacle, Target
 from flora_common.runs import Light, RunFolder
+from flora_common.shapes import Obstacle, Target
+from flora_common.vision.header import picture_size
 from flora_common.vision.picture import (
     PICTURE_SUFFIXES,
     Picture,
     Reduction,
     checked_array,
-    picture_size,
     read_picture,
     read_picture_bytes,
     reduce_picture,

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Callable, Sequence
+from typing import Final
 
 from flora_common.bus import Arrival
 from flora_common.errors import StoreError
 from flora_common.service import App, run_service
 from flora_recorder.core import Limits, Recorder, RecorderSection
+
+LAST_BATCHES: Final = 8
 
 
 def build(app: App[RecorderSection]) -> None:
@@ -46,6 +49,9 @@ def build(app: App[RecorderSection]) -> None:
         guarded(lambda: recorder.hear(arrival))
 
     def finish() -> None:
+        for _ in range(LAST_BATCHES):  # what has arrived already
+            for arrival in app.bus.receive_all():
+                hear(arrival)
         try:
             recorder.close()
         except StoreError as problem:

@@ -9,9 +9,11 @@ from typing import Final
 import numpy as np
 
 from flora_common.errors import BadInput
-from flora_common.geometry import STEM_POINTS, FloatArray, resample_by_height
-from flora_common.runs import LIGHTS, Light, Track
+from flora_common.geometry import FloatArray, resample_by_height
+from flora_common.runs import LIGHTS, Light
+from flora_common.shapes import STEM_POINTS
 from flora_common.suggest import did_you_mean
+from flora_common.tracks import Track
 from flora_twin.box import CAMERA
 from flora_twin.parameters import PlantParameters
 from flora_twin.plant import STEP_S, Plants

@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from flora_common.errors import BadInput
-from flora_common.geometry import STEM_POINTS, FloatArray, resample_by_height
+from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection, Light
+from flora_common.shapes import STEM_POINTS
 from flora_twin import faults as menu
 from flora_twin.box import BOX, CAMERA, Box, PinholeCamera
 from flora_twin.faults import ActiveFaults

@@ -14,9 +14,9 @@ import pytest
 
 from device_fakes import GOOD_METADATA, fake_box, tiny_jpeg
 from flora_capture.core import exposure_of
-from flora_capture.jpeg import picture_size
 from flora_capture.wire import Answer, CameraSettings, Request, pack, read
 from flora_common.runs import RunFolder
+from flora_common.vision.header import picture_size
 
 PICTURES = 3
 ON_A_PI = [
@@ -104,14 +104,14 @@ def test_it_opens_and_takes_whole_jpegs_of_the_right_size(camera: Child) -> None
     for index in range(PICTURES):
         answer = camera.shoot(7 + index, index)
         assert (answer.number, answer.problem) == (7 + index, "")
-        assert picture_size(answer.jpeg) == (64, 48)
+        assert picture_size(answer.jpeg, where="photograph") == (64, 48)
         exposure_of(answer.metadata)
 
 
 def test_a_restarted_service_gets_the_picture_that_is_next(camera: Child) -> None:
-    assert picture_size(camera.shoot(1, 2).jpeg) == (64, 48)
-    assert picture_size(camera.shoot(1, 2).jpeg) == (64, 48)
-    assert picture_size(camera.shoot(1, 0).jpeg) == (64, 48)
+    assert picture_size(camera.shoot(1, 2).jpeg, where="photograph") == (64, 48)
+    assert picture_size(camera.shoot(1, 2).jpeg, where="photograph") == (64, 48)
+    assert picture_size(camera.shoot(1, 0).jpeg, where="photograph") == (64, 48)
 
 
 @pytest.mark.parametrize(("backend", "make"), [("replay", old_run), ("opencv", film)])

@@ -13,7 +13,8 @@ import numpy as np
 from flora_common.bus import Arrival, BusClient
 from flora_common.files import sha256_of_bytes, write_bytes
 from flora_common.messages import Frame, FrameMissed, Health, Lamps, Setup, Stem
-from flora_common.runs import CameraSection, RunFile, RunFolder, read_track, run_file_text
+from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
+from flora_common.tracks import read_track
 
 if TYPE_CHECKING:
     from conftest import PrivateBus

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from flora_common.files import write_bytes, write_text
-from flora_common.geometry import STEM_POINTS
 from flora_common.runs import CameraSection, Light, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+from flora_common.shapes import STEM_POINTS
 from flora_lab.main import main
 from flora_lab.report.summary import summarise
 

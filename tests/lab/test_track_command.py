@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flora_common.runs import read_track
+from flora_common.tracks import read_track
 from flora_lab import sources
 from flora_lab.main import main
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flora_common.runs import CameraSection, read_track
+from flora_common.runs import CameraSection
+from flora_common.tracks import read_track
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_lab import sources, tracking
 from flora_lab.lights import parse_rule

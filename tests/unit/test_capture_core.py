@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from device_fakes import GOOD_METADATA, tiny_jpeg
 from flora_capture.core import LockedExposure, Sequence, exposure_note, exposure_of
-from flora_capture.jpeg import picture_size
 from flora_capture.store import FrameRecord, Store
 from flora_capture.wire import Answer, Assembler, pack
 from flora_common.errors import BadPicture, BadRunFolder, CameraGone, StoreError
 from flora_common.messages import Flash
 from flora_common.runs import RunFolder
+from flora_common.vision.header import picture_size
 
 LOCKED = LockedExposure(20_000.0, 1.0, 1.9, 1.6, exposure_tolerance=0.02, gain_tolerance=0.05)
 
@@ -58,21 +58,21 @@ def test_a_flash_that_goes_dark_before_the_picture_is_there_is_not_confirmed() -
 
 
 def test_the_size_is_read_from_the_frame_header() -> None:
-    assert picture_size(tiny_jpeg()) == (64, 48)
-    assert picture_size(tiny_jpeg() + b"\0\0\0") == (64, 48)  # some cameras pad
+    assert picture_size(tiny_jpeg(), where="photograph") == (64, 48)
+    assert picture_size(tiny_jpeg() + b"\0\0\0", where="photograph") == (64, 48)  # some cameras pad
 
 
 @given(st.integers(0, len(tiny_jpeg()) - 1))
 def test_every_torn_jpeg_is_refused(length: int) -> None:
     with pytest.raises(BadPicture):
-        picture_size(tiny_jpeg()[:length])
+        picture_size(tiny_jpeg()[:length], where="photograph")
 
 
 @given(st.binary(max_size=200), st.booleans())
 def test_nonsense_is_refused_and_never_loops(data: bytes, in_frame: bool) -> None:
     data = b"\xff\xd8" + data + b"\xff\xd9" if in_frame else data
     try:
-        width_px, height_px = picture_size(data)
+        width_px, height_px = picture_size(data, where="photograph")
     except BadPicture:
         return
     assert 1 <= width_px <= 20_000

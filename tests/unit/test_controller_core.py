@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from flora_common.controller_file import LoadedController, load_controller
-from flora_common.geometry import FloatArray, Obstacle, Target, fitness
+from flora_common.geometry import FloatArray, fitness
 from flora_common.messages import LightCommand, Stem
 from flora_common.messages.catalogue import Outcome
 from flora_common.network import Network
+from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerCore, ControllerSection, usable_points
 from flora_controller.evolved import Evolved
 from flora_controller.record import Record, read_record, write_record

@@ -19,8 +19,8 @@ from flora_common.controller_file import (
     parse_controller,
 )
 from flora_common.errors import BadController
-from flora_common.geometry import Obstacle, Target
 from flora_common.network import NotFinite
+from flora_common.shapes import Obstacle, Target
 from flora_controller.main import main
 
 GOLDEN = Path(__file__).parent.parent / "golden" / "controllers"

@@ -10,7 +10,7 @@ import pytest
 
 from flora_common.errors import BadController, ConfigError
 from flora_common.files import write_bytes
-from flora_common.geometry import Obstacle, Target
+from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerSection
 from flora_controller.source import FileSource, built_in, kept_file
 from flora_controller.steering import WaypointSection

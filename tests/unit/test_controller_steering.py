@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, Obstacle, Target, clearance_cm, collides, fitness
+from flora_common.geometry import FloatArray, clearance_cm, collides, fitness
 from flora_common.runs import Light
+from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerSection
 from flora_controller.source import built_in
 from flora_controller.steering import (

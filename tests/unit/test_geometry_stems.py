@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 
 from flora_common.geometry import (
     FloatArray,
-    Obstacle,
-    Target,
     clearance_cm,
     collides,
     distance_to_polyline_cm,
     fitness,
     resample_by_height,
 )
+from flora_common.shapes import Obstacle, Target
 
 BOX = Obstacle(x_cm=0.0, y_cm=10.0, width_cm=4.0, height_cm=2.0)
 # Two decimals: touching by a rounding error is no question for brute force.

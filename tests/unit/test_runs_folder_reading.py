@@ -17,9 +17,9 @@ from flora_common.runs import (
     RunFile,
     RunFolder,
     TargetSection,
-    read_track,
     run_file_text,
 )
+from flora_common.tracks import read_track
 
 POINTS = np.column_stack([np.linspace(0.0, -2.25, 10), np.linspace(0.0, 13.5, 10)])
 ROW = ",".join(f"{v:.4f}" for v in POINTS.reshape(-1))

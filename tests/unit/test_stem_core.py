@@ -12,7 +12,8 @@ import pytest
 from flora_common.errors import DiskFull
 from flora_common.files import sha256_of_bytes
 from flora_common.messages import Frame, FrameMissed, Stem
-from flora_common.runs import CameraSection, RunFile, RunFolder, read_track, run_file_text
+from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
+from flora_common.tracks import read_track
 from flora_common.vision.picture import Picture
 from flora_stem.background import Background
 from flora_stem.core import NO_BACKGROUND, Answer, StemCore, StemSection

@@ -398,13 +398,10 @@ def test_a_killed_process_goes_on_where_it_was(tmp_path: Path, serve: Callable[[
 
 
 def test_commands_write_what_they_promise_and_bad_input_ends_with_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def run(*arguments: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["flora-twin", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return int(ended.value.code or 0)
+        return main(list(arguments))
 
     assert run("grow", "--hours", "2", "--schedule", "right 1h, left", "-o", str(tmp_path / "track.csv")) == 0
     lines = (tmp_path / "track.csv").read_text().splitlines()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flora_common.geometry import Obstacle, Target
 from flora_common.runs import CameraSection
+from flora_common.shapes import Obstacle, Target
 from flora_common.vision import draw
 
 CAMERA = CameraSection((199.5, 279.5), 10.0, 400, 300)

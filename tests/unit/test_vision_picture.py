@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flora_common.errors import BadPicture
-from flora_common.vision.picture import decode_picture, picture_size, read_picture, reduce_picture, reduced_size
+from flora_common.vision.header import picture_size
+from flora_common.vision.picture import decode_picture, read_picture, reduce_picture, reduced_size
 
 BAD = Path(__file__).parents[1] / "golden" / "pictures_bad"
 SENTENCES = tomllib.loads((BAD / "sentences.toml").read_text())

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from flora_common.geometry import STEM_POINTS
 from flora_common.messages.envelope import (
     Ampere,
     Cm,
@@ -26,6 +25,7 @@ from flora_common.messages.envelope import (
     message,
 )
 from flora_common.runs import Light
+from flora_common.shapes import STEM_POINTS
 
 Purpose = Literal["run", "background"]
 Outcome = Literal["ok", "no_stem", "jumped", "occluded", "touches_edge", "bad_picture", "no_frame"]

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import Obstacle, Target
 from flora_common.runs import CameraSection, Light
+from flora_common.shapes import Obstacle, Target
 from flora_common.vision.picture import Picture
 
 Colour = tuple[int, int, int]

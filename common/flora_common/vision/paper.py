@@ -33,8 +33,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput, BadPicture
-from flora_common.geometry import STEM_POINTS, FloatArray
+from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, Px
+from flora_common.shapes import STEM_POINTS
 from flora_common.vision.picture import Picture, Reduction, checked_array, reduced_size
 from flora_common.vision.setup import SetupMatrices, green
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import os
 import stat
-import struct
-import zlib
 from pathlib import Path
 from typing import Final, Literal
 
@@ -20,6 +18,7 @@ import numpy.typing as npt
 
 from flora_common import files
 from flora_common.errors import BadPicture
+from flora_common.vision.header import JPEG_START, picture_size
 
 Picture = npt.NDArray[np.uint8]
 """Shape (height, width, 3), channels blue, green, red, as OpenCV has them."""
@@ -27,13 +26,8 @@ Picture = npt.NDArray[np.uint8]
 Reduction = Literal[1, 2, 4, 8]
 
 PICTURE_SUFFIXES: Final = (".jpg", ".jpeg", ".png")
-MAX_PIXELS: Final = 100_000_000
-"""Largest picture that is decoded. A forged header may claim gigapixels, and a Pi has no memory for them."""
 MAX_FILE_BYTES: Final = 256 << 20
 
-_JPEG_START: Final = b"\xff\xd8\xff"
-_JPEG_END: Final = b"\xff\xd9"
-_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _DECODE_FLAGS: Final[dict[int, int]] = {
     1: cv2.IMREAD_COLOR,
     2: cv2.IMREAD_REDUCED_COLOR_2,
@@ -109,7 +103,7 @@ def decode_picture(
     width, height = picture_size(data, where=where)
     if expected_size is not None and (width, height) != tuple(expected_size):
         raise BadPicture(f"{where}: is {width}x{height} px, expected {expected_size[0]}x{expected_size[1]}")
-    is_jpeg = data.startswith(_JPEG_START)
+    is_jpeg = data.startswith(JPEG_START)
     # OpenCV reduces a PNG by picking samples, which breaks thin stems; a JPEG is averaged by its decoder.
     flags = _DECODE_FLAGS[reduction if is_jpeg else 1] | cv2.IMREAD_IGNORE_ORIENTATION
     try:
@@ -124,27 +118,6 @@ def decode_picture(
     if (picture.shape[1], picture.shape[0]) != reduced_size((width, height), reduction):
         raise BadPicture(f"{where}: header says {width}x{height} px, the picture data something else; it is damaged")
     return picture
-
-
-def picture_size(data: bytes, *, where: str) -> tuple[int, int]:
-    """(width, height) in px from a JPEG's or PNG's header, after checking that the file is complete.
-
-    Raises:
-        BadPicture: another format, cut short, damaged, no pixels, or more than :data:`MAX_PIXELS`.
-    """
-    if data.startswith(_PNG_START):
-        width, height = _png_size(data, where)
-    elif data.startswith(_JPEG_START):
-        width, height = _jpeg_size(data, where)
-    else:
-        raise BadPicture(f"{where}: neither JPEG nor PNG (starts with {data[:4].hex(' ')})")
-    if width == 0 or height == 0:
-        raise BadPicture(f"{where}: header says {width}x{height} px; no picture")
-    if width * height > MAX_PIXELS:
-        raise BadPicture(
-            f"{where}: header says {width}x{height} px; at most {MAX_PIXELS // 1_000_000} million are read"
-        )
-    return width, height
 
 
 def checked_array(picture: npt.NDArray[np.uint8], *, where: str) -> Picture:
@@ -178,53 +151,6 @@ def reduce_picture(picture: Picture, reduction: Reduction) -> Picture:
         picture, 0, size[1] * reduction - height, 0, size[0] * reduction - width, cv2.BORDER_REPLICATE
     )
     return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def _jpeg_size(data: bytes, where: str) -> tuple[int, int]:
-    """Walk the marker segments to the frame header (ITU T.81, annex B)."""
-    if not data.endswith(_JPEG_END):
-        raise BadPicture(f"{where}: JPEG is cut short ({len(data)} bytes, no end marker)")
-    at = 2
-    while at + 4 <= len(data):
-        if data[at] != 0xFF:
-            raise BadPicture(f"{where}: JPEG is damaged (no marker at byte {at})")
-        marker = data[at + 1]
-        if marker == 0xFF:  # fill byte
-            at += 1
-            continue
-        if marker == 0x01 or 0xD0 <= marker <= 0xD8:  # markers without a segment
-            at += 2
-            continue
-        if marker in (0xD9, 0xDA):
-            break
-        (length,) = struct.unpack_from(">H", data, at + 2)
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            if at + 9 > len(data):
-                break
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height
-        at += 2 + max(length, 2)
-    raise BadPicture(f"{where}: JPEG is damaged (no frame header before the picture data)")
-
-
-def _png_size(data: bytes, where: str) -> tuple[int, int]:
-    """Walk the chunks, each with its own check sum, to the end (PNG specification, section 5)."""
-    at, size = len(_PNG_START), (0, 0)
-    while at + 12 <= len(data):
-        (length,) = struct.unpack_from(">I", data, at)
-        kind, end = data[at + 4 : at + 8], at + 12 + length
-        if end > len(data):
-            break
-        if zlib.crc32(data[at + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
-            raise BadPicture(f"{where}: PNG is damaged (check sum of the chunk at byte {at} is wrong)")
-        if at == len(_PNG_START):
-            if kind != b"IHDR" or length != 13:
-                raise BadPicture(f"{where}: PNG is damaged (does not begin with its header)")
-            size = struct.unpack_from(">II", data, at + 8)
-        if kind == b"IEND":
-            return size
-        at = end
-    raise BadPicture(f"{where}: PNG is cut short ({len(data)} bytes, no end chunk)")
 
 
 def _first_line(problem: cv2.error) -> str:

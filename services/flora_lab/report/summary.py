@@ -9,7 +9,8 @@ import numpy as np
 
 from flora_common.errors import BadRunFolder
 from flora_common.geometry import FloatArray, clearance_cm, collides, fitness
-from flora_common.runs import FrameRow, RunFile, RunFolder, Track, read_track
+from flora_common.runs import FrameRow, RunFile, RunFolder
+from flora_common.tracks import Track, read_track
 
 STOP_HEIGHT_CM = 21.0
 """The paper's stop rule: the run is over when the tip is this high."""

@@ -1,0 +1,56 @@
+"""Target and obstacle: the task's shapes in the picture plane, in cm, origin at the anchor, x right, y up.
+
+Plain Python, so that services which only pass them on need no numpy. :mod:`flora_common.geometry` computes with them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+STEM_POINTS: Final = 10
+"""Points of a stem description: point 1 is the anchor, point 10 the growing tip."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The place that the tip is to reach: a disc."""
+
+    x_cm: float
+    y_cm: float
+    radius_cm: float = 2.0
+
+    def distance_cm(self, x_cm: float, y_cm: float) -> float:
+        """Distance from a point to the centre of the target."""
+        return math.hypot(x_cm - self.x_cm, y_cm - self.y_cm)
+
+    def contains(self, x_cm: float, y_cm: float) -> bool:
+        """Whether a point lies on or inside the target's circle."""
+        return self.distance_cm(x_cm, y_cm) <= self.radius_cm
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """The virtual obstacle: an upright rectangle given by its centre and extent."""
+
+    x_cm: float
+    y_cm: float
+    width_cm: float = 7.0
+    height_cm: float = 3.0
+
+    @property
+    def left_cm(self) -> float:
+        return self.x_cm - self.width_cm / 2
+
+    @property
+    def right_cm(self) -> float:
+        return self.x_cm + self.width_cm / 2
+
+    @property
+    def bottom_cm(self) -> float:
+        return self.y_cm - self.height_cm / 2
+
+    @property
+    def top_cm(self) -> float:
+        return self.y_cm + self.height_cm / 2
