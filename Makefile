@@ -48,8 +48,8 @@ kill-uploader: setup  ## kill the uploader at every system call of a transfer
 bench: setup  ## the benchmarks: latency, throughput, memory, idle load
 	@for file in tests/bench/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
-pins: setup  ## write deploy/constraints.txt from the environment
-	@{ echo "# The versions that flora is tested with. \`make pins\` writes this file from the environment."; \
+pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
+	@{ echo "# The versions that flora is tested with, all extras. \`make pins\` writes it from an environment that has them all."; \
 	   $(BIN)/python -m pip freeze --exclude-editable; } > deploy/constraints.txt
 
 clean:  ## remove the environment and all results

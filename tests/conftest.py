@@ -18,6 +18,9 @@ from flora_common.bus import Arrival, BusAddress, BusClient
 from flora_common.clock import SystemClock
 from flora_common.messages import Health
 
+# Read once per process, by whichever test opens a film first: the library is not to write beside a command's one line.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
 COMMANDS = Path(sys.executable).parent
 DEADLINE_S = 20.0
 
@@ -134,10 +137,3 @@ def bus(tmp_path: Path) -> Iterator[PrivateBus]:
             yield private
         finally:
             private.close()
-
-
-"""For all tests."""
-
-
-# Read once per process, by whichever test opens a film first: the library is not to write beside the commands' own line.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

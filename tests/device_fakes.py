@@ -14,12 +14,12 @@ from typing import Any
 import msgspec
 import zmq
 
+from flora_common.app import Timer
 from flora_common.bus import Freshness
 from flora_common.clock import NS, FakeClock
 from flora_common.log import Log
 from flora_common.messages import Message, spec_of
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
-from flora_common.service import Timer
 
 TINY_JPEG_SIZE = (64, 48)
 
@@ -42,7 +42,7 @@ GOOD_METADATA = {
 
 
 class FakeApp:
-    """What services use of :class:`flora_common.service.App`, with real time that only a test moves."""
+    """What services use of :class:`flora_common.app.App`, with real time that only a test moves."""
 
     def __init__(self, folder: Path, config: Any, *, clock: Any = None, interval_s: float = 300.0) -> None:
         self.config = config

@@ -9,9 +9,10 @@ import msgspec
 import zmq
 
 from flora_bus.broker import Broker, BrokerCounters
+from flora_common.app import App
 from flora_common.errors import BusUnreachable
 from flora_common.files import make_folder
-from flora_common.service import App, run_service
+from flora_common.service import run_service
 
 
 class BusSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

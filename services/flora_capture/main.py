@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from flora_capture.service import CaptureSection, CaptureService
 from flora_capture.store import Store
-from flora_common.service import App, run_service
+from flora_common.app import App
+from flora_common.service import run_service
 
 
 def build(app: App[CaptureSection]) -> None:

@@ -10,11 +10,11 @@ from flora_capture.core import LockedExposure, Sequence, Shot, exposure_note, ex
 from flora_capture.process import CameraProcess
 from flora_capture.store import FrameRecord, Store
 from flora_capture.wire import Answer, CameraSettings, ColourGain, Request
+from flora_common.app import App, Timer
 from flora_common.errors import BadPicture, DiskFull, StoreError
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps
 from flora_common.messages.catalogue import MissedBecause
 from flora_common.runs import CameraSection
-from flora_common.service import App, Timer
 from flora_common.vision.header import picture_size
 
 TRIES: Final = 2

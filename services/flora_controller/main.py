@@ -10,13 +10,14 @@ from typing import Final
 
 import msgspec
 
+from flora_common.app import App
 from flora_common.cli import run_cli
 from flora_common.controller_file import SUFFIX, load_controller
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import sha256_of_bytes
 from flora_common.messages import Setup, Stem
 from flora_common.runs import RunFile, RunFolder
-from flora_common.service import App, run_service
+from flora_common.service import run_service
 from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerCore, ControllerSection
 from flora_controller.record import RECORD_FILE, read_record, write_record

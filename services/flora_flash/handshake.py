@@ -7,11 +7,11 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from flora_common.app import App, Timer
 from flora_common.clock import NS
 from flora_common.errors import DeviceError, DiskFull
 from flora_common.files import write_text
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
-from flora_common.service import App, Timer
 from flora_flash.backends import Lamp, NoLamp
 from flora_flash.core import STATE_FILE, Beat, Reading
 

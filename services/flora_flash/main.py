@@ -9,11 +9,12 @@ from typing import Final
 
 import msgspec
 
+from flora_common.app import App
 from flora_common.clock import Clock
 from flora_common.config import RigSection
 from flora_common.errors import BadInput
 from flora_common.runs import RunFolder
-from flora_common.service import Action, App, default_clock, run_service
+from flora_common.service import Action, default_clock, run_service
 from flora_common.twin_link import TwinLink, leader_clock
 from flora_flash.backends import Lamp, NoLamp
 from flora_flash.core import STATE_FILE, Beat, BeatState, Reading, recovered

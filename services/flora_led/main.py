@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from flora_common.app import App
 from flora_common.config import RigSection
-from flora_common.service import Action, App, run_service
+from flora_common.service import Action, run_service
 from flora_led.backends import Strips
 from flora_led.core import DARK
 from flora_led.service import LedSection, LedService

@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from flora_common.app import App, Timer
 from flora_common.errors import LampsDead
 from flora_common.messages import Lamps, LightCommand, Setup, Tick
-from flora_common.service import App, Timer
 from flora_led.backends import Strips
 from flora_led.core import DARK, Fallback, Lease, Wanted, current_a, lit, shown
 

@@ -6,9 +6,10 @@ import importlib.metadata
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from flora_common.app import App
 from flora_common.bus import Arrival
 from flora_common.errors import StoreError
-from flora_common.service import App, run_service
+from flora_common.service import run_service
 from flora_recorder.core import Limits, Recorder, RecorderSection
 
 LAST_BATCHES: Final = 8

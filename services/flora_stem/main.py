@@ -10,11 +10,12 @@ from typing import Final
 
 import cv2
 
+from flora_common.app import App
 from flora_common.errors import BadPicture, StoreError
 from flora_common.files import sha256_of_bytes
 from flora_common.messages import Frame, FrameMissed, Setup
 from flora_common.runs import RunFile, RunFolder
-from flora_common.service import App, run_service
+from flora_common.service import run_service
 from flora_common.vision.picture import Picture, read_picture
 from flora_stem import calibrate
 from flora_stem.background import CACHE_FILE, Background

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
+import msgspec
 import numpy as np
 import typer
 
 from flora_common import files
+from flora_common.config import load_config
 from flora_common.errors import BadInput
 from flora_common.runs import LIGHTS, TRACK_HEADER, track_line
 from flora_common.suggest import did_you_mean
@@ -35,22 +37,41 @@ def register(app: typer.Typer) -> None:
     app.command("faults")(list_faults)
 
 
+class TwinSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[twin]``: the virtual grow box of a rig; it listens where ``[rig.clock]`` says."""
+
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
+    rate: Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)] = 0.0
+    start: str = ""
+    planted: bool = True
+
+
 def serve_world(
-    address: Annotated[str, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/world.")],
-    state_dir: Annotated[Path, typer.Option(help="Folder for checkpoint and truth.jsonl.")],
-    seed: Seed = 1,
-    rate: Annotated[float, typer.Option(help="0: lock-step. Else times real time.")] = 0.0,
-    start: Annotated[str, typer.Option(help="UTC at time 0, ISO 8601; the present where missing.")] = "",
-    planted: Annotated[bool, typer.Option("--planted/--empty", help="Whether the plant is there at first.")] = True,
+    *,
+    config: Annotated[Path | None, typer.Option(help="The rig's TOML file; options below go before it.")] = None,
+    address: Annotated[str | None, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/twin.")] = None,
+    state_dir: Annotated[Path | None, typer.Option(help="Folder for checkpoint and truth.jsonl.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="The individual plant and all chance. [default: 1]")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time. [default: 0]")
+    ] = None,
+    start: Annotated[str | None, typer.Option(help="UTC at time 0, ISO 8601; the present where missing.")] = None,
+    planted: Annotated[
+        bool | None, typer.Option("--planted/--empty", help="Whether the plant is there at first. [default: planted]")
+    ] = None,
 ) -> None:
     """Serve the virtual grow box until SIGTERM; goes on where it was when STATE_DIR holds a checkpoint."""
+    rig, section = load_config(config, "twin", TwinSection)
+    given = {"seed": seed, "rate": rate, "start": start, "planted": planted}
+    section = msgspec.structs.replace(section, **{key: value for key, value in given.items() if value is not None})
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     cv2.setNumThreads(1)  # the other services need the other cores
-    start_utc_ns = parse_start(start) if start else time.time_ns()
-    with only_one(state_dir):
-        world = World(seed, planted=planted)
-        server = WorldServer(world, state_dir, start_utc_ns=start_utc_ns, rate=rate, monotonic_s=time.monotonic)
-        serve(server, address)
+    start_utc_ns = parse_start(section.start) if section.start else time.time_ns()
+    folder = state_dir or Path(rig.state_dir) / "twin"
+    with only_one(folder):
+        world = World(section.seed, planted=section.planted)
+        server = WorldServer(world, folder, start_utc_ns=start_utc_ns, rate=section.rate, monotonic_s=time.monotonic)
+        serve(server, address or rig.clock.twin)
 
 
 def picture(

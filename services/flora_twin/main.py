@@ -22,16 +22,26 @@ def build_app() -> typer.Typer:
     """The application with all commands."""
     app = typer.Typer(name=PROGRAM, add_completion=False, pretty_exceptions_enable=False)
 
-    @app.callback()
+    @app.callback(invoke_without_command=True)
     def root(
+        context: typer.Context,
+        *,
         version: Annotated[
             bool,
             typer.Option(
                 "--version", help="Print the version and end.", is_eager=True, callback=print_version(PROGRAM)
             ),
         ] = False,
+        seed: Annotated[int | None, typer.Option(min=0, help="Which individual plant, for every command.")] = None,
     ) -> None:
-        """flora-twin: the virtual grow box (a physical plant, lamps, flash, camera and time), and the demo in it."""
+        """flora-twin: the virtual grow box (a physical plant, lamps, flash, camera and time), and the demo in it.
+
+        `flora-twin --seed 7` alone runs the demo with that plant.
+        """
+        if seed is not None:
+            context.default_map = {name: {"seed": seed} for name in ("demo", "serve", "picture", "grow")}
+        if context.invoked_subcommand is None:
+            demo.demo(seed=1 if seed is None else seed)
 
     for register in REGISTER:
         register(app)

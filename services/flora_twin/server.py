@@ -27,6 +27,7 @@ import zmq
 
 from flora_common import files
 from flora_common.errors import BadInput, FloraError
+from flora_common.notify import Notifier
 from flora_twin import faults as menu
 from flora_twin.world import World
 
@@ -234,17 +235,22 @@ def serve(server: WorldServer, address: str) -> None:
         except zmq.ZMQError as problem:
             raise BadInput(f"address `{address}` cannot be bound ({problem.strerror})") from problem
         log.info("world of seed %d at %s, time %.0f s", server.world.seed, address, server.world.time_s)
+        notifier = Notifier()
+        notifier.ready(f"serving seed {server.world.seed} at {address}")
+        sign_of_life_ms = None if notifier.watchdog_s is None else round(250 * notifier.watchdog_s)
         poller = zmq.Poller()
         poller.register(router, zmq.POLLIN)
         poller.register(stop, zmq.POLLIN)
         while True:
-            ready = dict(poller.poll(None if server.rate == 0.0 else _CATCH_UP_MS))
+            ready = dict(poller.poll(sign_of_life_ms if server.rate == 0.0 else _CATCH_UP_MS))
+            notifier.alive()
             if stop.fileno() in ready:
                 break
             if router in ready:
                 _one_request(server, router)
             else:
                 server.catch_up()
+        notifier.stopping("saving the world")
         server.save()
         log.info("world ends at time %.0f s", server.world.time_s)
 

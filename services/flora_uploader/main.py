@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
+from flora_common.app import App, Timer
 from flora_common.messages import Frame, Stored
-from flora_common.service import Action, App, Timer, run_service
+from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, show_status, upload_once
 from flora_uploader.config import SWITCHED_OFF, UploaderSection
 from flora_uploader.ledger import Ledger

@@ -23,7 +23,8 @@ import msgspec
 
 from flora_common.errors import CameraGone
 from flora_common.messages import Tick
-from flora_common.service import App, run_service
+from flora_common.app import App
+from flora_common.service import run_service
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
