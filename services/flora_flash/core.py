@@ -66,20 +66,16 @@ class Beat:
         run: name of the run folder.
         state: as left by the last start; None for the very first.
         now: the clocks.
-        box_time: run time is the rig's own clock, as in the virtual rig; otherwise it is 0 at the run's first tick.
     """
 
-    def __init__(
-        self, interval_s: float, *, run: str, state: BeatState | None, now: Reading, box_time: bool = False
-    ) -> None:
+    def __init__(self, interval_s: float, *, run: str, state: BeatState | None, now: Reading) -> None:
         self._interval_s = interval_s
-        self._box_time = box_time
         state = state or BeatState()
         if state.run != run:
             state = BeatState(tick=state.tick, run=run)
         self.state = state
         # Rig time at which the run's time was 0.
-        self._zero_ns = 0 if box_time else now.mono_ns - round((state.time_s + self._away_s(now)) * NS)
+        self._zero_ns = now.mono_ns - round((state.time_s + self._away_s(now)) * NS)
 
     def _away_s(self, now: Reading) -> float:
         state = self.state
@@ -90,7 +86,7 @@ class Beat:
 
     def time_s(self, mono_ns: int) -> float:
         """Run time; 0 before the run's first tick."""
-        return (mono_ns - self._zero_ns) / NS if self.state.begun or self._box_time else 0.0
+        return (mono_ns - self._zero_ns) / NS if self.state.begun else 0.0
 
     @property
     def due_ns(self) -> int:
@@ -117,9 +113,8 @@ class Beat:
         """Start the tick that is due."""
         skipped, late_s = 0, 0.0
         if not self.state.begun:
-            if not self._box_time:
-                self._zero_ns = now.mono_ns
-            time_s = due_s = (now.mono_ns - self._zero_ns) / NS
+            self._zero_ns = now.mono_ns
+            time_s = due_s = 0.0
         else:
             time_s = self.time_s(now.mono_ns)
             beats = max(1, round((time_s - self.state.due_s) / self._interval_s))

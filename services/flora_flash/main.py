@@ -77,8 +77,7 @@ def build(app: App[FlashSection]) -> None:
     interval_s = app.run.read_run_file().interval_s
     now = Reading(app.clock.mono_ns(), app.clock.utc_ns(), boot_id())
     state = read_state(app.state_dir / STATE_FILE, app.run)
-    is_virtual = app.rig.clock.kind == "twin"
-    beat = Beat(interval_s, run=run_name(app.run), state=state, now=now, box_time=is_virtual)
+    beat = Beat(interval_s, run=run_name(app.run), state=state, now=now)
     lamp = open_lamp(app.rig, app.config)
     lamp.switch(False)
     FlashService(app, lamp, beat, boot_id=now.boot_id)

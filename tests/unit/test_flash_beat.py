@@ -20,8 +20,8 @@ def reading(seconds: float, *, utc_s: float | None = None, boot: str = "a") -> R
     return Reading(round(seconds * NS), round((1e9 + (seconds if utc_s is None else utc_s)) * NS), boot)
 
 
-def fresh(now: Reading, **options: bool) -> Beat:
-    return Beat(INTERVAL_S, run="bean", state=None, now=now, **options)
+def fresh(now: Reading) -> Beat:
+    return Beat(INTERVAL_S, run="bean", state=None, now=now)
 
 
 def test_the_first_tick_is_due_at_once_and_is_time_0_of_the_run() -> None:
@@ -30,12 +30,6 @@ def test_the_first_tick_is_due_at_once_and_is_time_0_of_the_run() -> None:
     tick = beat.next(reading(5010.0))
     assert (tick.tick, tick.time_s, tick.late_s, tick.skipped) == (1, 0.0, 0.0, 0)
     assert beat.due_ns == 5310 * NS
-
-
-def test_run_time_is_the_boxs_own_in_the_virtual_rig() -> None:
-    beat = fresh(reading(1200.0), box_time=True)
-    assert beat.next(reading(1200.0)).time_s == 1200.0
-    assert beat.due_ns == 1500 * NS
 
 
 def test_due_times_do_not_drift() -> None:
@@ -120,16 +114,16 @@ steps = st.lists(
 )
 
 
-@given(steps, st.booleans())
+@given(steps)
 def test_whatever_happens_numbers_never_repeat_time_increases_and_beats_never_burst(
-    steps: list[tuple[str, float]], box_time: bool
+    steps: list[tuple[str, float]],
 ) -> None:
     mono_s, offset_s, boot = 500.0, 0.0, 0
 
     def now() -> Reading:
         return Reading(round(mono_s * NS), max(0, round((1e9 + mono_s + offset_s) * NS)), f"boot{boot}")
 
-    beat = fresh(now(), box_time=box_time)
+    beat = fresh(now())
     numbers, times = [], []
     started_s = None
     for what, amount in steps:
@@ -149,9 +143,9 @@ def test_whatever_happens_numbers_never_repeat_time_increases_and_beats_never_bu
             numbers.append(beat.background(now(), shot="a.jpg", setup="x").tick)
         else:
             mono_s += amount
-            if what == "reboot" and not box_time:  # the box's time outlasts everything
+            if what == "reboot":
                 boot, mono_s, offset_s, started_s = boot + 1, amount, offset_s + mono_s, None
             kept = msgspec.json.decode(msgspec.json.encode(beat.state), type=BeatState)
-            beat = Beat(INTERVAL_S, run="bean", state=kept, now=now(), box_time=box_time)
+            beat = Beat(INTERVAL_S, run="bean", state=kept, now=now())
     assert numbers == sorted(set(numbers))
     assert all(later > earlier for earlier, later in pairwise(times))

@@ -53,8 +53,7 @@ class Rig:
         app = FakeApp(self.folder, self.config, clock=self.clock)
         now = Reading(self.clock.mono_ns(), self.clock.utc_ns(), "boot")
         state = read_state(app.state_dir / "flash.json", app.run)
-        box_time = not isinstance(self.clock, FakeClock)
-        FlashService(app, self.lamp, Beat(300.0, run="run", state=state, now=now, box_time=box_time), boot_id="boot")  # type: ignore[arg-type]
+        FlashService(app, self.lamp, Beat(300.0, run="run", state=state, now=now), boot_id="boot")  # type: ignore[arg-type]
         app.hear(*kept)
         app.ready()
         return app
