@@ -1,11 +1,13 @@
 """The wire to the virtual grow box: what the ``virtual`` backends of camera, flash and strips speak.
 
 One request at a time over ZeroMQ REQ/ROUTER, msgpack maps both ways. The box restarts without its clients noticing
-more than a late answer.
+more than a late answer: ZeroMQ forgets a request whose connection breaks, so it is asked again. Every operation states
+what is to be, hence nothing happens twice.
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import msgspec
@@ -37,6 +39,10 @@ class TwinLink:
         # A lost answer must not wedge the strict send/receive order of REQ, nor be taken for the next one's.
         self._socket.setsockopt(zmq.REQ_RELAXED, 1)
         self._socket.setsockopt(zmq.REQ_CORRELATE, 1)
+        self._breaks = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._breaks, zmq.POLLIN)
         self._socket.connect(address)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
@@ -45,10 +51,18 @@ class TwinLink:
         Raises:
             TwinGone: no answer in time, or the box said no.
         """
-        self._socket.send(msgspec.msgpack.encode({"op": op, **arguments}))
-        if not self._socket.poll(self._timeout_ms, zmq.POLLIN):
-            waited_s = self._timeout_ms / 1000
-            raise TwinGone(f"{self.address}: the virtual grow box did not answer `{op}` in {waited_s:g} s")
+        request = msgspec.msgpack.encode({"op": op, **arguments})
+        self._forget_breaks()
+        self._socket.send(request)
+        end_s = time.monotonic() + self._timeout_ms / 1000
+        while not self._socket.poll(0, zmq.POLLIN):
+            left_ms = round((end_s - time.monotonic()) * 1000)
+            if left_ms <= 0:
+                waited_s = self._timeout_ms / 1000
+                raise TwinGone(f"{self.address}: the virtual grow box did not answer `{op}` in {waited_s:g} s")
+            if self._breaks in dict(self._poller.poll(left_ms)):
+                self._forget_breaks()
+                self._socket.send(request)
         try:
             answer = msgspec.msgpack.decode(self._socket.recv(), type=dict[str, Any])
         except (ValueError, RecursionError) as problem:
@@ -62,7 +76,13 @@ class TwinLink:
         answer = self.ask("now")
         return round(float(answer["time_s"]) * NS), int(answer["t_utc_ns"]), float(answer["rate"])
 
+    def _forget_breaks(self) -> None:
+        while self._breaks.poll(0):
+            self._breaks.recv_multipart()
+
     def close(self) -> None:
+        self._socket.disable_monitor()
+        self._breaks.close()
         self._socket.close()
 
 

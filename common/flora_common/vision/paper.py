@@ -186,7 +186,8 @@ class PaperTracker:
         index, choice = choose_tip(x, y, anchor, previous if previous is not None else anchor)
         tip = (float(x[index]), float(y[index]))
         raw, seen = ten_points(x, y, anchor, tip, self._theta_2)
-        points_cm = (smooth(raw) - raw[0]) * np.array([1.0, -1.0]) / self.camera.px_per_cm
+        # Adding zero turns the anchor's -0.0 into 0.0, which reads better in tables.
+        points_cm = (smooth(raw) - raw[0]) * np.array([1.0, -1.0]) / self.camera.px_per_cm + 0.0
         outcome, reason = self._judge(int(row[index]), int(column[index]), tip, previous)
         self.tip_px = tip
         return StemReading(outcome, float(seen.mean()), points_cm, tip, choice, int(row.size), reason)

@@ -1,0 +1,96 @@
+"""The wire to the virtual grow box outlives the box's death: a request that died with it is asked again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zmq
+
+from flora_common.twin_link import TwinGone, TwinLink
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    context: zmq.Context[Any] = zmq.Context()
+    yield context
+    context.destroy(linger=0)
+
+
+def router(context: zmq.Context[Any], address: str) -> zmq.Socket[bytes]:
+    socket = context.socket(zmq.ROUTER)
+    socket.bind(address)
+    return socket
+
+
+def answer(socket: zmq.Socket[bytes]) -> str:
+    """Answer one request; returns its operation."""
+    *envelope, body = socket.recv_multipart()
+    asked = msgspec.msgpack.decode(body)
+    reply = {"ok": True, "op": asked["op"]}
+    socket.send_multipart([*envelope, msgspec.msgpack.encode(reply)])
+    return str(asked["op"])
+
+
+def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[Any], tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/box"
+    heard: list[str] = []
+
+    def box_that_dies() -> None:
+        first = router(context, address)
+        heard.append(msgspec.msgpack.decode(first.recv_multipart()[-1])["op"])
+        first.close(linger=0)
+        second = router(context, address)
+        heard.extend(answer(second) for _ in range(2))
+        second.close(linger=100)
+
+    box = threading.Thread(target=box_that_dies)
+    box.start()
+    link = TwinLink(address, timeout_s=20.0, context=context)
+    began_s = time.monotonic()
+    assert link.ask("wait", until_s=1.0)["op"] == "wait"
+    assert time.monotonic() - began_s < 10.0
+    assert link.ask("now")["op"] == "now"
+    box.join()
+    link.close()
+    assert heard == ["wait", "wait", "now"]
+
+
+def test_a_box_that_is_silent_is_not_asked_twice(context: zmq.Context[Any], tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/box"
+    box = router(context, address)
+    link = TwinLink(address, timeout_s=0.3, context=context)
+    with pytest.raises(TwinGone, match=r"did not answer `shutter` in 0\.3 s"):
+        link.ask("shutter")
+    assert box.recv_multipart()
+    assert not box.poll(0)
+    link.close()
+    box.close()
+
+
+def test_a_box_that_dies_over_and_over_ends_in_the_time_out(context: zmq.Context[Any], tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/box"
+    done = threading.Event()
+
+    def box_that_keeps_dying() -> None:
+        while not done.is_set():
+            box = router(context, address)
+            if box.poll(100):
+                box.recv_multipart()
+            box.close(linger=0)
+
+    box = threading.Thread(target=box_that_keeps_dying)
+    box.start()
+    link = TwinLink(address, timeout_s=0.5, context=context)
+    began_s = time.monotonic()
+    with pytest.raises(TwinGone):
+        link.ask("now")
+    assert time.monotonic() - began_s < 5.0
+    done.set()
+    box.join()
+    link.close()
