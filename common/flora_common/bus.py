@@ -126,7 +126,7 @@ class SequenceCheck:
 
 @dataclass(slots=True)
 class Heard:
-    """The last message of a topic and when it came, in rig time."""
+    """The last message of a topic and when it was said, in rig time."""
 
     message: Message
     mono_ns: int
@@ -141,7 +141,8 @@ class Freshness:
         self._heard: dict[str, Heard] = {}
 
     def hear(self, kind: str, message: Message) -> None:
-        self._heard[kind] = Heard(message, self._clock.mono_ns())
+        # Its own time, not that of its coming: what the bus has kept since yesterday is not news.
+        self._heard[kind] = Heard(message, min(message.t_mono_ns, self._clock.mono_ns()))
 
     def last(self, type_: type[M]) -> M | None:
         """The last message of this type, however old."""
@@ -149,12 +150,12 @@ class Freshness:
         return cast(M, heard.message) if heard else None
 
     def age_s(self, type_: type[Message]) -> float | None:
-        """Rig seconds since the last one; None where there was none."""
+        """Rig seconds since the last one was said; None where there was none."""
         heard = self._heard.get(spec_of(type_).kind)
         return (self._clock.mono_ns() - heard.mono_ns) / NS if heard else None
 
     def fresh(self, type_: type[Message]) -> bool:
-        """Heard within :data:`LATE_FACTOR` periods. A topic without a period is fresh once heard."""
+        """Said within :data:`LATE_FACTOR` periods. A topic without a period is fresh once heard."""
         age_s = self.age_s(type_)
         limit_s = late_after_s(spec_of(type_).period, self._tick_s)
         return age_s is not None and (limit_s is None or age_s <= limit_s)

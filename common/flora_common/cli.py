@@ -64,6 +64,11 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
             raise BadInput(f"{message} (see {program} {subcommand}--help)") from problem
         except typer.Abort:
             raise KeyboardInterrupt from None
+        except OSError as problem:
+            if not isinstance(problem.filename, str):
+                raise
+            # A path that the person named: missing, not permitted, a file where a folder must be.
+            raise BadInput(f"{problem.filename}: {problem.strerror}") from problem
         return result if isinstance(result, int) else 0
 
     return run_cli(program, work)

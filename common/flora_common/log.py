@@ -5,6 +5,7 @@ Logging never stops the work, and a problem that lasts is told when it begins an
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import sys
@@ -65,7 +66,7 @@ class Log:
 def terminal_sink(level: int, service: str, text: str, fields: dict[str, Any]) -> None:
     """``W flora-capture camera_hung tick=3`` on stderr."""
     shown = " ".join(f"{k}={_quoted(v)}" for k, v in fields.items() if k != "run")
-    print(f"{logging.getLevelName(level)[0]} {service} {text} {shown}".rstrip(), file=sys.stderr, flush=True)
+    _print(f"{logging.getLevelName(level)[0]} {service} {text} {shown}".rstrip())
 
 
 def journal_sink() -> Sink:
@@ -83,7 +84,7 @@ def journal_sink() -> Sink:
                 **{f"FLORA_{k.upper()}": str(v) for k, v in fields.items()},
             )
         except OSError as problem:
-            print(f"{service}: journal not reachable ({problem}): {text} {shown}", file=sys.stderr)
+            _print(f"{service}: journal not reachable ({problem}): {text} {shown}")
 
     return sink
 
@@ -96,6 +97,12 @@ def choose_sink() -> Sink:
         except ImportError:
             print("systemd-python is not installed: plain lines to the journal", file=sys.stderr)
     return terminal_sink
+
+
+def _print(line: str) -> None:
+    # A full disk behind stderr, or a reader that has gone, must not end a service; there is nobody left to tell.
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr, flush=True)
 
 
 def _quoted(value: Any) -> str:

@@ -114,9 +114,10 @@ def _only_one(name: str, rig: RigSection) -> Iterator[None]:
             file.seek(0)
             pid = file.read(20).strip() or "unknown"
             raise ConfigError(f"{name} already runs for rig `{rig.name}` (pid {pid}); stop it first") from None
-        file.truncate(0)
-        file.write(f"{os.getpid()}\n")
-        file.flush()
+        # On a full disk the lock holds all the same, its holder only stays nameless: the plant needs its lamps.
+        with contextlib.suppress(OSError):
+            os.ftruncate(file.fileno(), 0)
+            os.write(file.fileno(), f"{os.getpid()}\n".encode())
         yield
 
 

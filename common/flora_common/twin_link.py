@@ -2,7 +2,7 @@
 
 One request at a time over ZeroMQ REQ/ROUTER, msgpack maps both ways. The box restarts without its clients noticing
 more than a late answer: ZeroMQ forgets a request whose connection breaks, so it is asked again. Every operation states
-what is to be, hence nothing happens twice.
+what is to be; only a shutter pressed twice leaves a second line of truth behind, for one photograph.
 """
 
 from __future__ import annotations

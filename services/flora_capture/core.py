@@ -19,11 +19,16 @@ DIGITAL_GAIN: Final = 1.0
 
 @dataclass(slots=True)
 class Shot:
-    """A photograph that is wanted."""
+    """A photograph that is wanted.
+
+    Attributes:
+        lamps_told: the lamps had told lately what they do when it was asked for.
+    """
 
     flash: Flash
     flash_confirmed: bool
     tries: int = 0
+    lamps_told: bool = False
 
 
 @dataclass(slots=True)

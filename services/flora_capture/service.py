@@ -129,10 +129,11 @@ class CaptureService:
         flash = shot.flash
         try:
             name = self._store.name_for(flash.tick, flash.purpose, flash.shot)
-        except StoreError as problem:
+        except (OSError, StoreError) as problem:
             self._miss(flash, "not_written", str(problem))
             return
         shot.tries += 1
+        shot.lamps_told = self._app.inbox.fresh(Lamps)
         self._camera.ask(Request(number=flash.tick, index=self._store.taken, name=name))
         if self._deadline is None:
             self._deadline = self._app.after(self._app.config.hang_timeout_s, self._hung)
@@ -184,7 +185,9 @@ class CaptureService:
     # the disk
 
     def _keep(self, shot: Shot, answer: Answer, size_px: tuple[int, int]) -> None:
-        flash, lamps = shot.flash, self._app.inbox.last(Lamps)
+        flash, inbox = shot.flash, self._app.inbox
+        # Old words of the lamps are those of a service that is gone, and it left them dark.
+        lamps = inbox.last(Lamps) if shot.lamps_told or inbox.fresh(Lamps) else None
         note = exposure_note(exposure_of(answer.metadata), self._app.config.locked)
         try:
             record = self._store.add(

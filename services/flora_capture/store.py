@@ -103,7 +103,7 @@ class Store:
             self.last = record
         if record.purpose == "run":
             self.taken += 1
-            if record.time_s > self._csv_time_s:
+            if _csv_time_s(record) > self._csv_time_s:
                 self._not_in_csv.append(record)
 
     def name_for(self, tick: int, purpose: Purpose, shot: str) -> str:
@@ -150,10 +150,15 @@ class Store:
         """
         while self._not_in_csv:
             record = self._not_in_csv[0]
-            if record.time_s > self._csv_time_s:
+            if _csv_time_s(record) > self._csv_time_s:
                 self._run.append_frame(record.file, record.time_s, record.light)
-                self._csv_time_s = record.time_s
+                self._csv_time_s = _csv_time_s(record)
             self._not_in_csv.pop(0)
+
+
+def _csv_time_s(record: FrameRecord) -> float:
+    """As ``frames.csv`` has it, in milliseconds: a time that reads the same there is the same."""
+    return round(record.time_s, 3)
 
 
 def _read_records(file: Path) -> Iterator[FrameRecord]:

@@ -62,10 +62,11 @@ def build(app: App[ControllerSection]) -> None:
         app.trouble("silence", "")
 
     def look() -> None:
-        age_s, setup = app.inbox.age_s(Stem), app.inbox.last(Setup)
+        setup = app.inbox.last(Setup)
         rests = setup is not None and setup.active
-        if age_s is not None and not rests and not app.inbox.fresh(Stem):
-            app.trouble("silence", f"no stem for {age_s / 60:.0f} min; the last command stands")
+        if app.inbox.last(Stem) is not None and not rests and not app.inbox.fresh(Stem):
+            # The same words as long as it lasts: each change of a reason is a line of the log and a message.
+            app.trouble("silence", "no stem for more than two ticks; the last command stands")
 
     app.on(Stem, on_stem)
     app.on(Setup, lambda _: None)

@@ -110,10 +110,15 @@ class FlashService:
             self._setup_shot(self._setup)
         elif self._unanswered:
             return
-        elif self._app.config.wait_for_background and not self._app.run.background_pictures():
+        elif self._must_wait_for_background():
             self._after("due", 1.0, self._proceed)
         else:
             self._after("due", self._app.clock.real_s_until(self._beat.due_ns), self._due)
+
+    def _must_wait_for_background(self) -> bool:
+        """Only a run that has not begun waits: pictures that are taken away later must not end the beat."""
+        has_begun = self._beat.state.begun
+        return self._app.config.wait_for_background and not has_begun and not self._app.run.background_pictures()
 
     def _due(self) -> None:
         clock, due_ns = self._app.clock, self._beat.due_ns

@@ -54,7 +54,7 @@ class LedService:
         self._timers: dict[str, Timer] = {}
         app.on(LightCommand, self._command)
         app.on(Setup, self._setup)
-        app.on(Tick, lambda _: self._look(again=True))
+        app.on(Tick, self._beat)
         app.on_ready(self._resume)
         app.on_exit(self._leave_dark)
         self._strips.show(DARK, DARK)
@@ -87,10 +87,17 @@ class LedService:
         self._lease.setup(None)
         self._shine(self._wanted())
 
-    def _look(self, *, again: bool = False) -> None:
-        """Has the lease run out? ``again``: a fallback that lasts is told once more."""
+    def _beat(self, tick: Tick) -> None:
+        """What shines without fresh commands is told again with each tick, so that it does not look like silence."""
         wanted = self._wanted()
-        if wanted != self._now or (again and wanted.fallback):
+        is_unanswered = wanted.setup_step == 0 and tick.tick > wanted.tick + 1
+        if wanted != self._now or wanted.fallback or is_unanswered:
+            self._shine(wanted)
+
+    def _look(self) -> None:
+        """Has the lease run out?"""
+        wanted = self._wanted()
+        if wanted != self._now:
             self._shine(wanted)
 
     def _look_later(self) -> None:
@@ -131,10 +138,26 @@ class LedService:
 
     def _leave_dark(self) -> None:
         try:
-            self._strips.show(DARK, DARK)
+            grb = self._strips.show(DARK, DARK)
         except LampsDead as problem:
             self._app.log.problem("strips_not_dark", str(problem))
+        else:
+            self._say_dark(grb)
         self._strips.close()
+
+    def _say_dark(self, grb: bytes) -> None:
+        """The bus keeps our last word: it must not say for ever that a lamp shines. No answer to any tick."""
+        if self._ready:
+            commanded = self._wanted().commanded
+            self._app.publish(
+                Lamps(
+                    lit=lit(grb),
+                    commanded=commanded,
+                    current_a=current_a(grb),
+                    fallback=True,
+                    reason="flora-led has been stopped",
+                )
+            )
 
     def _cancel(self, key: str) -> None:
         timer = self._timers.pop(key, None)

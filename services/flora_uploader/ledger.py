@@ -383,7 +383,8 @@ def _lock(path: Path) -> IO[str]:
         raise StoreError(
             f"{path.with_suffix('')}: a flora-uploader works with this ledger already (pid {pid}); it uploads by itself"
         ) from None
-    file.truncate(0)
-    file.write(f"{os.getpid()}\n")
-    file.flush()
+    # On a full disk the lock holds all the same, its holder only stays nameless.
+    with contextlib.suppress(OSError):
+        os.ftruncate(file.fileno(), 0)
+        os.write(file.fileno(), f"{os.getpid()}\n".encode())
     return file

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Final
 
 from flora_common.app import App, Timer
+from flora_common.errors import DiskFull
 from flora_common.messages import Frame, Stored
 from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, show_status, upload_once
-from flora_uploader.config import SWITCHED_OFF, UploaderSection
-from flora_uploader.ledger import Ledger
+from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target
+from flora_uploader.ledger import Ledger, LedgerProblem
 from flora_uploader.model import Event
+from flora_uploader.uploader import Uploader
+
+LEDGER_AGAIN_S: Final = 10.0
 
 
 def build(app: App[UploaderSection]) -> None:
@@ -19,10 +24,28 @@ def build(app: App[UploaderSection]) -> None:
     if not config.target:
         app.state("ready", SWITCHED_OFF)
         return
-    ledger = Ledger(app.state_dir, config.target)
-    app.on_exit(ledger.close)
+    make_target(app.rig, config)  # what is wrong with the configuration ends the start
+    uploader: Uploader | None = None
+    timer: Timer | None = None
+
+    def begin() -> None:
+        nonlocal uploader
+        try:
+            ledger = Ledger(app.state_dir, config.target)
+        except (LedgerProblem, DiskFull) as problem:
+            # A full disk: whoever ended here would be given up by systemd, and be missing when there is room again.
+            app.trouble("ledger", str(problem))
+            app.after(LEDGER_AGAIN_S, begin)
+            return
+        app.trouble("ledger", "")
+        app.on_exit(ledger.close)
+        uploader = make_uploader(app.rig, config, ledger, say, may_free=True)
+        app.on_exit(finish)
+        arm(0.0)  # without the bus too: pictures do not wait for it
 
     def say(event: Event) -> None:
+        if uploader is None:
+            return
         app.publish(
             Stored(
                 stage=event.stage,
@@ -40,10 +63,9 @@ def build(app: App[UploaderSection]) -> None:
         else:
             app.log.debug(event.stage, path=f"{event.run}/{event.path}", bytes=event.bytes)
 
-    uploader = make_uploader(app.rig, config, ledger, say, may_free=True)
-    timer: Timer | None = None
-
     def work() -> None:
+        if uploader is None:
+            return
         arm(uploader.step())
         conditions = uploader.conditions
         app.state("degraded" if conditions.is_serious else "ready", conditions.sentence())
@@ -55,10 +77,13 @@ def build(app: App[UploaderSection]) -> None:
         timer = app.after(wait_s, work)
 
     def heard(frame: Frame) -> None:
-        uploader.hear(frame.run, frame.path, frame.sha256)
-        arm(0.0)
+        if uploader is not None:
+            arm(0.0)
+            uploader.hear(frame.run, frame.path, frame.sha256)
 
     def finish() -> None:
+        if uploader is None:
+            return
         end_s = time.monotonic() + config.stop_within_s
         uploader.begin_closing()
         while time.monotonic() < end_s and not uploader.is_idle:
@@ -68,8 +93,7 @@ def build(app: App[UploaderSection]) -> None:
         app.log.event("stopped", waiting=uploader.waiting, stored=uploader.stored)
 
     app.on(Frame, heard)
-    app.on_exit(finish)
-    arm(0.0)  # without the bus too: pictures do not wait for it
+    begin()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -17,7 +19,7 @@ from flora_twin.box import camera_section
 from flora_twin.main import main
 from flora_twin.rig.demo import parse_speed
 from flora_twin.rig.layout import make_layout, remove_sockets
-from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, wait_until
+from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, command, wait_until
 
 READY = """
 import os, signal, socket, sys
@@ -90,6 +92,28 @@ if '--dark' in sys.argv: sys.exit()
     assert log.read_text() == ";--dark;;--dark;"
 
 
+def test_darkening_may_need_what_is_yet_to_be_started_again(supervisor: Supervisor, tmp_path: Path) -> None:
+    box, lamp = tmp_path / "box", tmp_path / "flora-led"
+    supervisor.start("box", python(f"open({str(box)!r}, 'a').write('.')\n" + READY))
+    code = f"""
+import sys, time
+if '--dark' in sys.argv:
+    while len(open({str(box)!r}).read()) < 2: time.sleep(0.01)
+    sys.exit()
+open({str(lamp)!r}, 'a').write('.')
+"""
+    supervisor.start("flora-led", python(code + READY))
+    supervisor.kill("flora-led")
+    supervisor.kill("box")
+    wait_until(
+        lambda: all(child.restarts == 1 and child.ready for child in supervisor.children.values()),
+        within_s=10.0,
+        poll=supervisor.poll,
+        what="second life of both",
+    )
+    assert lamp.read_text() == ".."
+
+
 def test_what_a_dead_service_leaves_running_goes_with_it(supervisor: Supervisor, tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     code = (
@@ -146,3 +170,30 @@ def test_bad_demo_arguments_end_with_one_line_and_status_2(
     assert said.strip().count("\n") == 0
     assert not (tmp_path / "out").exists()
     assert time.monotonic() - began_s < 30.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_demo_that_is_ended_leaves_no_process_behind(tmp_path: Path, number: signal.Signals) -> None:
+    demo = subprocess.Popen(
+        [command("flora-twin"), "demo", "--out", str(tmp_path / "out"), "--quiet"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+    def mine() -> list[Path]:
+        """Command lines that name this test's folder, the demo itself left out."""
+        found = []
+        for file in Path("/proc").glob("[0-9]*/cmdline"):
+            with contextlib.suppress(OSError):
+                if str(tmp_path).encode() in file.read_bytes() and file.parent.name != str(demo.pid):
+                    found.append(file)
+        return found
+
+    try:
+        wait_until(lambda: len(mine()) >= 9, within_s=30.0, poll=lambda: None, what="the rig")
+        demo.send_signal(number)
+        demo.wait(30.0)
+        wait_until(lambda: not mine(), within_s=30.0, poll=lambda: None, what="the end of all")
+    finally:
+        demo.kill()
+        demo.wait()

@@ -11,7 +11,7 @@ import zmq
 from flora_bus.broker import MAX_KEPT, MAX_KEPT_BYTES, Broker, LastValues, well_formed
 from flora_common import bus as bus_module
 from flora_common.bus import OUTBOX_LIMIT, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
-from flora_common.clock import FakeClock
+from flora_common.clock import NS, FakeClock
 from flora_common.errors import BadMessage
 from flora_common.messages import Health, LightCommand, Stem, Tick, encode
 
@@ -66,6 +66,16 @@ def test_freshness_comes_from_the_catalogues_period() -> None:
     assert not inbox.fresh(Stem)
     assert inbox.last(Stem) is stem
     assert inbox.age_s(Stem) == pytest.approx(750.1)
+
+
+def test_what_the_bus_has_kept_since_yesterday_is_not_fresh() -> None:
+    clock = FakeClock(mono_ns=90_000 * NS)
+    inbox = Freshness(clock, tick_s=300.0)
+    inbox.hear("stem", Stem(time_s=0.0, outcome="ok", t_mono_ns=3_600 * NS))
+    assert inbox.age_s(Stem) == pytest.approx(86_400.0)
+    assert not inbox.fresh(Stem)
+    inbox.hear("stem", Stem(time_s=0.0, outcome="ok", t_mono_ns=99_999 * NS))  # from the future: heard just now
+    assert inbox.age_s(Stem) == 0.0
 
 
 def test_topics_without_a_period_are_never_late() -> None:

@@ -133,6 +133,44 @@ def test_light_is_dark_where_nobody_has_told(rig: Rig) -> None:
     assert announced(app, 1).light == "dark"
 
 
+def test_light_is_dark_where_the_lamps_have_said_nothing_for_long(rig: Rig) -> None:
+    app = rig.start(Lamps(tick=1, lit="right", commanded="right"))
+    app.clock.advance(750.0)
+    app.hear(lit(3))
+    assert announced(app, 3).light == "right"
+    app.clock.advance(1.0)
+    app.hear(lit(4))
+    assert announced(app, 4).light == "dark"
+
+
+def test_a_camera_that_takes_long_does_not_make_the_lamps_old(rig: Rig) -> None:
+    app = rig.start(Lamps(tick=1, lit="right", commanded="right"))
+    app.clock.advance(750.0)
+    app.hear(lit(3))
+    app.clock.advance(20.0)
+    assert announced(app, 3).light == "right"
+
+
+def test_a_kept_word_of_yesterdays_lamps_is_not_believed(rig: Rig) -> None:
+    app = rig.start(Lamps(tick=1, lit="right", commanded="right", t_mono_ns=1))
+    app.clock.advance(86_400.0)
+    app.hear(lit(2))
+    assert announced(app, 2).light == "dark"
+
+
+def test_a_folder_that_may_not_be_looked_into_is_a_missed_frame(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = rig.start()
+
+    def refuse(*_: object) -> bool:
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "exists", refuse)
+        app.hear(lit(1))
+    missed = announced(app, 1)
+    assert (missed.because, "Permission denied" in missed.reason) == ("not_written", True)
+
+
 def test_told_twice_it_announces_twice_and_shoots_once(rig: Rig) -> None:
     app = rig.start()
     app.hear(lit(1))
@@ -279,6 +317,18 @@ def test_a_table_without_room_is_completed_later(rig: Rig, monkeypatch: pytest.M
     announced(app, 2)
     assert [r.time_s for r in app.run.read_frames()] == [0.0, 300.0]
     assert app.troubles == {}
+
+
+def test_a_start_again_adds_no_second_line_where_the_table_has_rounded_the_time(rig: Rig) -> None:
+    app = rig.start()
+    app.hear(lit(1, time_s=1200.4283532))
+    announced(app, 1)
+    app.leave()
+    again = rig.start()
+    assert [row.file for row in again.run.read_frames()] == ["frames/000001.jpg"]
+    again.hear(lit(2, time_s=1500.4151999))
+    announced(again, 2)
+    assert [row.time_s for row in again.run.read_frames()] == [1200.428, 1500.415]
 
 
 def test_killed_after_writing_it_announces_what_is_there(rig: Rig) -> None:

@@ -391,6 +391,22 @@ def test_the_beat_can_wait_for_pictures_of_the_empty_setup(rig: Callable[..., Ri
     assert app.heard(Tick)[0].time_s == 0.0
 
 
+def test_a_run_that_has_begun_goes_on_without_its_background(rig: Callable[..., Rig], tmp_path: Path) -> None:
+    picture = tmp_path / "run" / "background" / "dark.jpg"
+    picture.parent.mkdir(parents=True)
+    picture.write_bytes(b"x")
+    r = rig(wait_for_background=True)
+    app = r.start()
+    app.hear(frame(1))
+    picture.unlink()
+    app.pass_s(301.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2]
+    app.leave()
+    again = r.start(frame(2))
+    again.pass_s(301.0)
+    assert again.heard(Tick)[-1].tick == 3
+
+
 def test_a_damaged_state_file_is_one_clear_line(rig: Callable[..., Rig], tmp_path: Path) -> None:
     (tmp_path / "state").mkdir()
     (tmp_path / "state" / "flash.json").write_text('{"tick": -3}')

@@ -124,6 +124,20 @@ def test_a_fresh_command_is_not_told_again_by_the_beat(start: Start) -> None:
     assert len(app.heard(Lamps)) == 2
 
 
+def test_a_light_that_goes_on_without_commands_is_told_with_each_tick(start: Start) -> None:
+    app, strips = start()
+    app.hear(command("left", 5), Tick(tick=6, time_s=0.0))
+    count, written = len(app.heard(Lamps)), len(strips.sent)
+    app.hear(Tick(tick=7, time_s=300.0))  # tick 6 brought no command
+    assert len(app.heard(Lamps)) == count + 1
+    assert (app.said[-1].tick, app.said[-1].lit, app.said[-1].fallback) == (5, "left", False)
+    assert len(strips.sent) == written + 1
+    app.hear(setup(1, "both"))
+    count = len(app.heard(Lamps))
+    app.hear(Tick(tick=8, time_s=300.0, purpose="background", shot="x.jpg"))
+    assert len(app.heard(Lamps)) == count
+
+
 def setup(step: int, lamps: str, *, active: bool = True) -> Setup:
     return Setup(active=active, step=step, steps=4, lamps=lamps, shot="x.jpg")  # type: ignore[arg-type]
 
@@ -176,6 +190,14 @@ def test_dark_however_it_ends(start: Start) -> None:
     app.hear(command("both"))
     app.leave()
     assert not any(strips.sent[-1])
+
+
+def test_its_last_word_is_that_it_is_dark(start: Start) -> None:
+    app, _ = start()
+    app.hear(command("left", 5))
+    app.leave()
+    last = app.heard(Lamps)[-1]
+    assert (last.lit, last.commanded, last.tick, last.fallback) == ("dark", "left", 0, True)
 
 
 def test_a_failure_on_leaving_is_told_and_hides_nothing(start: Start) -> None:

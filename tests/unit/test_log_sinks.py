@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import logging
 import sys
 import types
@@ -110,3 +112,17 @@ def test_the_journal_is_chosen_under_systemd_only(journal: FakeJournal, monkeypa
     assert journal.sent[0]["FLORA_EVENT"] == "lit"
     monkeypatch.setitem(sys.modules, "systemd", None)
     assert choose_sink() is terminal_sink
+
+
+class FullDisk(io.StringIO):
+    """What a file on a disk without room says to a line."""
+
+    def write(self, _: str) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_line_that_finds_no_room_does_not_end_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", FullDisk())
+    log = Log("flora-led", terminal_sink)
+    log.warning("capped", share=0.5)
+    log.problem("strips", "gone")

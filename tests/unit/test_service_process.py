@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -13,7 +14,10 @@ from typing import Any
 
 import pytest
 
+from flora_common.config import RigSection
+from flora_common.errors import ConfigError
 from flora_common.messages import Health, Tick
+from flora_common.service import _only_one
 
 SERVICE = """
 import sys
@@ -217,6 +221,17 @@ def test_a_second_one_is_refused_and_a_killed_one_leaves_no_lock(bus: Any, syste
     first.wait()
     service()
     systemd.until("READY=1")
+
+
+def test_a_disk_without_room_keeps_no_service_from_starting_and_no_second_one_in(tmp_path: Path) -> None:
+    rig = RigSection(state_dir=str(tmp_path))
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most[1]))  # whatever is written finds no room
+    try:
+        with _only_one("flora-led", rig), pytest.raises(ConfigError, match="already runs"), _only_one("flora-led", rig):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
 
 
 def test_a_bus_that_comes_back_is_told_everything_again(bus: Any, systemd: Systemd, service: Any) -> None:

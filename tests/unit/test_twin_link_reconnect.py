@@ -49,7 +49,7 @@ def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[An
         heard.extend(answer(second) for _ in range(2))
         second.close(linger=100)
 
-    box = threading.Thread(target=box_that_dies)
+    box = threading.Thread(target=box_that_dies, daemon=True)
     box.start()
     link = TwinLink(address, timeout_s=20.0, context=context)
     began_s = time.monotonic()
@@ -84,7 +84,7 @@ def test_a_box_that_dies_over_and_over_ends_in_the_time_out(context: zmq.Context
                 box.recv_multipart()
             box.close(linger=0)
 
-    box = threading.Thread(target=box_that_keeps_dying)
+    box = threading.Thread(target=box_that_keeps_dying, daemon=True)
     box.start()
     link = TwinLink(address, timeout_s=0.5, context=context)
     began_s = time.monotonic()

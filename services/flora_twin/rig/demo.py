@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -104,6 +107,7 @@ def run_demo(settings: DemoSettings, console: Console) -> dict[str, Any]:
     Raises:
         FloraError: a service failed, or a photograph was lost.
     """
+    _check_faults(settings)
     run_file = RunFile(
         camera=camera_section(),
         rig="demo",
@@ -114,7 +118,7 @@ def run_demo(settings: DemoSettings, console: Console) -> dict[str, Any]:
         settings.out / "rig", with_task(run_file), sections={"controller": {"use": settings.controller}}
     )
     began_s = time.monotonic()
-    with VirtualRig(layout, seed=settings.seed, rate=settings.rate) as rig:
+    with _polite_end(), VirtualRig(layout, seed=settings.seed, rate=settings.rate) as rig:
         console.print("starting box, bus and services", style="dim")
         rig.start()
         console.print("background pictures of the empty box, every lamp state", style="dim")
@@ -130,6 +134,25 @@ def run_demo(settings: DemoSettings, console: Console) -> dict[str, Any]:
     if not integrity.whole:
         raise ServiceFailed(f"photographs were lost: {integrity}")
     return figures
+
+
+def _check_faults(settings: DemoSettings) -> None:
+    for planned in settings.faults:
+        if planned.at_h >= settings.hours:
+            raise BadInput(
+                f"fault {planned.name}@{planned.at_h:g}h would never strike: the run ends at {settings.hours:g} h"
+            )
+
+
+@contextlib.contextmanager
+def _polite_end() -> Iterator[None]:
+    """SIGTERM, and SIGHUP of a closed terminal, end the demo as Ctrl-C does: with every process stopped."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _grow(rig: VirtualRig, settings: DemoSettings, console: Console) -> None:

@@ -7,6 +7,7 @@ and after a lamp service's death, by whatever cause, its lamps are darkened.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import signal
 import socket
@@ -26,6 +27,8 @@ START_LIMIT: Final = 20
 START_LIMIT_WINDOW_S: Final = 30.0
 WATCHDOG_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 15.0
+PR_SET_PDEATHSIG: Final = 1
+_LIBC: Final = ctypes.CDLL(None)
 DARKENED: Final = ("flora-led", "flora-flash")
 """Services whose unit has ``ExecStopPost=… --dark``."""
 
@@ -51,6 +54,8 @@ class Child:
     last_alive_s: float = 0.0
     restarts: int = 0
     restart_at_s: float | None = None
+    darkening: subprocess.Popen[bytes] | None = None
+    darken_until_s: float = 0.0
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=START_LIMIT))
 
     @property
@@ -107,6 +112,11 @@ class Supervisor:
         for child in self.children.values():
             self._hear(child, now_s)
             if child.process is None:
+                if child.darkening is not None:
+                    if child.darkening.poll() is None and now_s < child.darken_until_s:
+                        continue
+                    _end(child.darkening)
+                    child.darkening = None
                 if child.restart_at_s is not None and now_s >= child.restart_at_s:
                     child.restarts += 1
                     self._spawn(child)
@@ -129,6 +139,10 @@ class Supervisor:
             status = _end(child.process)
             _end_group(child.process.pid)
             self._stop_post(child)
+        if child.darkening is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.darkening.wait(STOP_TIMEOUT_S)
+            _end(child.darkening)
         child.notify.close()
         (self._sockets / f"notify-{name}").unlink(missing_ok=True)
         return status
@@ -153,7 +167,13 @@ class Supervisor:
         child.ready, child.restart_at_s, child.last_alive_s = False, None, time.monotonic()
         with child.log.open("ab") as log:
             child.process = subprocess.Popen(
-                child.argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment, start_new_session=True
+                child.argv,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,  # noqa: PLW1509 - the supervisor has one thread
             )
 
     def _hear(self, child: Child, now_s: float) -> None:
@@ -180,9 +200,13 @@ class Supervisor:
         child.restart_at_s = now_s + RESTART_AFTER_S
 
     def _stop_post(self, child: Child) -> None:
+        """Begin to darken. Not waited for: it may need a box that :meth:`poll` has yet to start again."""
         if child.name in DARKENED:
+            child.darken_until_s = time.monotonic() + STOP_TIMEOUT_S
             with child.log.open("ab") as log:
-                subprocess.run([*child.argv, "--dark"], stdout=log, stderr=log, timeout=STOP_TIMEOUT_S, check=False)
+                child.darkening = subprocess.Popen(
+                    [*child.argv, "--dark"], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                )
 
     def _last_line(self, name: str) -> str:
         lines = self.children[name].log.read_text(errors="replace").strip().splitlines()
@@ -196,6 +220,11 @@ def _end(process: subprocess.Popen[bytes]) -> int:
     except subprocess.TimeoutExpired:
         process.kill()
         return process.wait()
+
+
+def _end_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the supervisor dies, however it does: a rig without one would run for ever."""
+    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _end_group(leader_pid: int) -> None:

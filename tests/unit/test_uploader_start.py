@@ -1,0 +1,73 @@
+"""The uploader starts where its ledger cannot be opened yet, and begins when it can."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import pytest
+
+from device_fakes import FakeApp
+from flora_common.config import RigSection
+from flora_common.errors import ConfigError, StoreError
+from flora_common.messages import Stored
+from flora_uploader.config import UploaderSection
+from flora_uploader.ledger import FILE_NAME, _lock
+from flora_uploader.main import LEDGER_AGAIN_S, build
+
+
+class App(FakeApp):
+    """With what the uploader uses besides."""
+
+    def __init__(self, folder: Path, target: Path) -> None:
+        super().__init__(folder, UploaderSection(target=str(target), marker="", stop_within_s=0.0))
+        self.rig = RigSection(run_dir=str(self.run.path), state_dir=str(self.state_dir))
+        self.states: list[tuple[str, str]] = []
+
+    def state(self, state: str, reason: str = "") -> None:
+        self.states.append((state, reason))
+
+
+def test_a_ledger_that_cannot_be_opened_is_told_and_tried_again(tmp_path: Path) -> None:
+    nas = tmp_path / "nas"
+    nas.mkdir()
+    app = App(tmp_path, nas)
+    in_the_way = app.state_dir / FILE_NAME
+    in_the_way.mkdir(parents=True)
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    assert "cannot be opened" in app.troubles["ledger"]
+    app.pass_real_s(LEDGER_AGAIN_S)
+    assert "ledger" in app.troubles
+    in_the_way.rmdir()
+    app.pass_real_s(LEDGER_AGAIN_S)
+    assert app.troubles == {}
+    for _ in range(50):
+        app.pass_real_s(0.1)
+    assert "run.toml" in [message.path for message in app.heard(Stored)]
+    assert app.states[-1][0] == "ready"
+    app.leave()
+
+
+def test_leaving_before_the_ledger_was_opened(tmp_path: Path) -> None:
+    app = App(tmp_path, tmp_path / "nas")
+    (app.state_dir / FILE_NAME).mkdir(parents=True)
+    build(app)  # type: ignore[arg-type]
+    app.leave()
+    assert app.said == []
+
+
+def test_a_target_that_cannot_be_used_ends_the_start(tmp_path: Path) -> None:
+    app = App(tmp_path, tmp_path / "run" / "copies")
+    with pytest.raises(ConfigError, match="inside the run folder"):
+        build(app)  # type: ignore[arg-type]
+
+
+def test_the_ledger_is_locked_also_without_room_for_its_holders_number(tmp_path: Path) -> None:
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most[1]))  # whatever is written finds no room
+    try:
+        with _lock(tmp_path / "lock"), pytest.raises(StoreError, match="works with this ledger already"):
+            _lock(tmp_path / "lock")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
