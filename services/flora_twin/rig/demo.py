@@ -118,7 +118,7 @@ def run_demo(settings: DemoSettings, console: Console) -> dict[str, Any]:
         settings.out / "rig", with_task(run_file), sections={"controller": {"use": settings.controller}}
     )
     began_s = time.monotonic()
-    with _polite_end(), VirtualRig(layout, seed=settings.seed, rate=settings.rate) as rig:
+    with VirtualRig(layout, seed=settings.seed, rate=settings.rate) as rig, _polite_end(rig):
         console.print("starting box, bus and services", style="dim")
         rig.start()
         console.print("background pictures of the empty box, every lamp state", style="dim")
@@ -145,9 +145,10 @@ def _check_faults(settings: DemoSettings) -> None:
 
 
 @contextlib.contextmanager
-def _polite_end() -> Iterator[None]:
-    """SIGTERM, and SIGHUP of a closed terminal, end the demo as Ctrl-C does: with every process stopped."""
-    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGTERM, signal.SIGHUP)}
+def _polite_end(rig: VirtualRig) -> Iterator[None]:
+    """Ctrl-C, SIGTERM, and SIGHUP of a closed terminal end the demo with every process stopped."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: rig.supervisor.interrupt()) for number in numbers}
     try:
         yield
     finally:

@@ -73,6 +73,7 @@ class Supervisor:
 
     def __init__(self, sockets: Path, logs: Path) -> None:
         self.children: dict[str, Child] = {}
+        self._is_interrupted = False
         self._sockets = sockets
         self._logs = logs
 
@@ -106,8 +107,22 @@ class Supervisor:
                 raise ServiceFailed(f"{late} was not ready after {within_s:g} s: {self._last_line(late)}")
             time.sleep(0.005)
 
+    def interrupt(self) -> None:
+        """For signal handlers: the next :meth:`poll` raises KeyboardInterrupt.
+
+        Raising in the handler itself would lose the signal where it strikes inside a fork, and with it a process.
+        """
+        self._is_interrupted = True
+
     def poll(self) -> None:
-        """Hear notifications, reap the dead, restart them, kill the silent."""
+        """Hear notifications, reap the dead, restart them, kill the silent.
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            ServiceFailed, ServiceRefused: a process keeps dying, or cannot use what it was given.
+        """
+        if self._is_interrupted:
+            raise KeyboardInterrupt
         now_s = time.monotonic()
         for child in self.children.values():
             self._hear(child, now_s)
