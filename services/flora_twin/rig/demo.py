@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import signal
-import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,9 +19,11 @@ from flora_common.errors import BadInput
 from flora_common.runs import RunFile
 from flora_twin.box import camera_section
 from flora_twin.rig.faults import FaultSchedule, PlannedFault, parse_fault
-from flora_twin.rig.integrity import Integrity, check_run
-from flora_twin.rig.layout import Layout, make_layout, with_task
-from flora_twin.rig.supervisor import ServiceFailed, command
+from flora_twin.rig.integrity import check_run
+from flora_twin.rig.layout import make_layout, with_task
+from flora_twin.rig.outcome import Outcome, tell, write_report
+from flora_twin.rig.supervisor import ServiceFailed
+from flora_twin.rig.truth import check_truth
 from flora_twin.rig.virtual_rig import Seen, VirtualRig
 
 PAPER_RUN_HOURS = 72.0
@@ -126,13 +126,19 @@ def run_demo(settings: DemoSettings, console: Console) -> dict[str, Any]:
         _grow(rig, settings, console)
         restarts = rig.restarts()
         rig.finish()
-        missed, outcomes = len(rig.seen.missed), dict(rig.seen.outcomes)
     took_s = time.monotonic() - began_s
-    integrity = check_run(layout.run, layout.nas / layout.run.path.name)
-    figures = _report(layout, settings, took_s, integrity)
-    _tell(console, settings, figures, integrity, took_s, {"missed": missed, "outcomes": outcomes, "restarts": restarts})
-    if not integrity.whole:
-        raise ServiceFailed(f"photographs were lost: {integrity}")
+    outcome = Outcome(
+        seen=rig.seen,
+        restarts=restarts,
+        integrity=check_run(layout.run, layout.nas / layout.run.path.name),
+        truth=check_truth(layout.run, layout.box_dir),
+        hours=settings.hours,
+        took_s=took_s,
+    )
+    figures = write_report(layout, settings.out, outcome, controller=settings.controller)
+    tell(console, settings.out, figures, outcome)
+    if not outcome.integrity.whole:
+        raise ServiceFailed(f"photographs were lost: {outcome.integrity}")
     return figures
 
 
@@ -195,59 +201,3 @@ def describe(seen: Seen) -> str:
     fitness = "" if state is None or state.fitness is None else f"  fitness {100 * state.fitness:5.1f} %"
     lamp = "" if lamps is None else f"  lamp {lamps.lit:5}"
     return f"{tip}{fitness}{lamp}"
-
-
-def _report(layout: Layout, settings: DemoSettings, took_s: float, integrity: Integrity) -> dict[str, Any]:
-    notes = {
-        "controller": Path(settings.controller).name,
-        "photographs announced": f"{integrity.announced}, of these missing {integrity.missing}, torn {integrity.torn}, "
-        f"not verified at the NAS {integrity.not_stored}",
-        "wall time": f"{took_s:.0f} s for {settings.hours:g} hours",
-    }
-    done = subprocess.run(
-        [
-            *(command("flora-lab"), "report", str(layout.run.path), "--json"),
-            *("-o", str(settings.out / "report.html"), "--strip", str(settings.out / "strip.png")),
-            *("--title", "A virtual bean, steered round an obstacle"),
-            *(part for name, value in notes.items() for part in ("--note", f"{name}={value}")),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode != 0:
-        raise ServiceFailed(f"the report could not be made: {done.stderr.strip()}")
-    figures: dict[str, Any] = json.loads(done.stdout)
-    return figures
-
-
-def _tell(
-    console: Console,
-    settings: DemoSettings,
-    figures: dict[str, Any],
-    integrity: Integrity,
-    took_s: float,
-    events: dict[str, Any],
-) -> None:
-    touched, reached = figures["collided_h"], figures["target_reached_h"]
-    at_stop = f"{100 * figures['fitness_at_stop']:.1f} % at hour {figures['stop_h']:.1f}, when {figures['stop_reason']}"
-    if reached is None:
-        console.print(f"fitness    {at_stop}; target not reached")
-    else:
-        console.print(
-            f"fitness    {100 * figures['fitness_at_target']:.1f} % when the target was reached, hour {reached:.1f}"
-        )
-        console.print(f"           {100 * figures['best_fitness']:.1f} % at best; {at_stop}")
-    console.print(
-        f"obstacle   {'not touched' if touched is None else f'touched at hour {touched:.1f}'}, "
-        f"least distance {figures['clearance_cm']:.1f} cm"
-    )
-    console.print(
-        f"pictures   {integrity.announced} announced, {integrity.missing} missing, {integrity.torn} torn, "
-        f"{integrity.announced - integrity.not_stored} at the NAS; {events['missed']} ticks without one"
-    )
-    console.print(f"stems      {', '.join(f'{v} {k}' for k, v in sorted(events['outcomes'].items()))}")
-    if events["restarts"]:
-        console.print(f"restarts   {', '.join(f'{k} {v}' for k, v in events['restarts'].items())}")
-    console.print(f"time       {took_s:.0f} s for {settings.hours:g} hours of plant")
-    console.print(f"look at    {settings.out / 'report.html'}  and  {settings.out / 'strip.png'}")
