@@ -101,3 +101,21 @@ def test_each_installed_command_starts(command: str) -> None:
         done = subprocess.run([program, flag], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
         assert command in done.stdout
+
+
+def test_no_page_holds_a_placeholder() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "services").glob("*/README.md")]
+    left = [
+        f"{page}: {line}"
+        for page in pages
+        for line in page.read_text().splitlines()
+        if re.fullmatch(r"[A-Z_]{4,}", line)
+    ]
+    assert left == []
+
+
+def test_every_link_in_the_pages_leads_somewhere() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "services").glob("*/README.md")]
+    for page in pages:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.relative_to(ROOT)} links to {target}"
