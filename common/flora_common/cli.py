@@ -59,7 +59,8 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
         try:
             result = app()(args=arguments or ["--help"], prog_name=program, standalone_mode=False)
         except usage_error as problem:
-            subcommand = f"{arguments[0]} " if arguments and not arguments[0].startswith("-") else ""
+            unknown = "No such command" in problem.format_message()
+            subcommand = f"{arguments[0]} " if arguments and arguments[0][:1] != "-" and not unknown else ""
             message = " ".join(problem.format_message().split())
             raise BadInput(f"{message} (see {program} {subcommand}--help)") from problem
         except typer.Abort:

@@ -51,8 +51,26 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         text = str(problem)
         at = re.search(r" - at `\$\.?(.*)`$", text)
         message = text[: at.start()] if at else text
-        key = f" `{at.group(1)}`" if at and at.group(1) else ""
-        raise error(f"{where}:{key} {message[0].lower()}{message[1:]}") from problem
+        path = at.group(1) if at and at.group(1) else ""
+        key = f" `{path}`" if path else ""
+        hint = _known_values(into, path, message)
+        raise error(f"{where}:{key} {message[0].lower()}{message[1:]}{hint}") from problem
+
+
+def _known_values(into: type[msgspec.Struct], path: str, message: str) -> str:
+    """For a word that is not one of the allowed ones: which they are, the nearest first."""
+    wrong = re.match(r"Invalid enum value '(.*)'$", message)
+    if wrong is None:
+        return ""
+    kind: Any = into
+    for name in re.sub(r"\[[^\]]*\]", "", path).split("."):
+        owner = _struct_in(kind)
+        found = [field.type for field in msgspec.structs.fields(owner) if field.encode_name == name] if owner else []
+        if not found:
+            return ""
+        kind = found[0]
+    literals = [part for part in (kind, *typing.get_args(kind)) if typing.get_origin(part) is typing.Literal]
+    return did_you_mean(wrong.group(1), [str(v) for part in literals for v in typing.get_args(part)])
 
 
 def to_toml(value: msgspec.Struct) -> str:

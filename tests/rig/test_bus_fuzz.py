@@ -2,7 +2,7 @@
 
 A quick run by default; `make fuzz` sends a million (FLORA_FUZZ=1000000).
 
-Not covered: flora-capture and flora-twin, which need a camera and a grow box; they hear through the same bus client.
+flora-capture replays a small run in place of a camera. flora-twin is on no bus.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ import msgspec
 import pytest
 import zmq
 
+from device_fakes import tiny_jpeg
 from flora_bus.broker import well_formed
 from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
 from flora_common.errors import BadMessage
+from flora_common.files import write_bytes
 from flora_common.messages import CATALOGUE, MAX_PAYLOAD_BYTES, Health, decode, encode
 from flora_common.recording import UNREADABLE
 from flora_common.recording_reader import RecordingReader
-from flora_common.runs import CameraSection, LampsSection, RunFile, TargetSection, run_file_text
+from flora_common.runs import CameraSection, LampsSection, RunFile, RunFolder, TargetSection, run_file_text
 
 FRAMES = int(os.environ.get("FLORA_FUZZ", "20000"))
 BATCH = 300
@@ -45,6 +47,7 @@ SERVICES: dict[str, tuple[str, ...]] = {
     "flora-led": ("light", "setup", "tick"),
     "flora-stem": ("frame", "setup"),
     "flora-uploader": ("frame",),
+    "flora-capture": ("flash", "frame", "lamps"),
     "flora-flash": ("tick", "flash", "frame", "lamps", "setup"),
 }
 """Which services are started, and what they hear: topics after ``<rig>/`` that begin with one of these."""
@@ -206,6 +209,15 @@ def make_run(bus: Any) -> None:
     (bus.run_dir / "run.toml").write_text(run_file_text(run), encoding="utf-8")
 
 
+def make_replay(bus: Any) -> Path:
+    """A run of three tiny photographs, in place of a camera."""
+    folder = RunFolder(bus.folder / "replayed")
+    for number in range(3):
+        write_bytes(folder.frames / f"{number}.jpg", tiny_jpeg())
+        folder.append_frame(f"frames/{number}.jpg", 300.0 * number, "left")
+    return folder.path
+
+
 def batches(nonsense: Nonsense, count: int) -> Iterator[list[list[bytes]]]:
     for start in range(0, count, BATCH):
         yield [nonsense.frames() for _ in range(min(BATCH, count - start))]
@@ -215,6 +227,7 @@ def test_nonsense_ends_no_service_and_is_counted(bus: Any) -> None:
     make_run(bus)
     bus.sections["rig"]["health_every_s"] = 0.1
     bus.sections |= SECTIONS | {"uploader": {"target": str(bus.folder / "nas")}}
+    bus.sections["capture"] = {"backend": "replay", "source": str(make_replay(bus))}
     bus.start_service("flora-bus")
     tap = Tap(bus)
     for service in SERVICES:
