@@ -22,7 +22,10 @@ def test_the_demo_ends_with_a_result_to_look_at(tmp_path: Path, capsys: pytest.C
     frames = run.read_frames()
     assert len(frames) >= 12
     assert [frame.time_s for frame in frames] == [300.0 * i for i in range(len(frames))]
-    assert len(read_track(run.track_csv).time_s) == len(frames)
+    # The rig is stopped inside a tick, so its very last photograph may be without a stem; no other may.
+    readings = read_track(run.track_csv).time_s.tolist()
+    assert readings == [frame.time_s for frame in frames][: len(readings)]
+    assert len(frames) - len(readings) <= 1
     assert len(run.background_pictures()) == 8
     assert f"{len(frames) + 8} announced, 0 missing, 0 torn, {len(frames) + 8} at the NAS" in said.replace("\n", " ")
     assert "flora-led 1" in said
