@@ -84,6 +84,7 @@ class App(Generic[S]):
         self._ready_calls: list[Callable[[], None]] = []
         self._stopping: str | None = None
         self._status: tuple[State, str] = ("starting", "waiting for the bus")
+        self._kind: str | None = None
         self._troubles: dict[str, str] = {}
         self._is_ready = False
         self._config_sha256 = sha256_of_bytes(config_text(rig, "own", config).encode())
@@ -148,27 +149,41 @@ class App(Generic[S]):
     def publish(self, message: Message) -> None:
         self.bus.publish(message)
 
-    def state(self, state: State, reason: str = "") -> None:
-        """Say how the service is; a change is told at once on the bus, in the log and to systemd."""
+    def state(self, state: State, reason: str = "", *, kind: str | None = None) -> None:
+        """Say how the service is; a change is told at once on the bus, in the log and to systemd.
+
+        Args:
+            state: the state.
+            reason: in a sentence.
+            kind: where only the text differs, and not this, the log is told at most every ten minutes.
+        """
+        self._kind = kind
         if (state, reason) == self._status:
             return
         self._status = (state, reason)
-        if state in ("degraded", "fault"):
-            self.log.problem("degraded", reason)
-        else:
-            self.log.solved("degraded")
+        self._log_state()
         self.notifier.status(f"{state}: {reason}" if reason else state)
         if self._is_ready:
             self._say_health()
 
+    def _log_state(self) -> None:
+        state, reason = self._status
+        if state in ("degraded", "fault"):
+            self.log.problem("degraded", reason, kind=None if self._kind is None else f"{state}: {self._kind}")
+        else:
+            self.log.solved("degraded")
+
     def trouble(self, key: str, reason: str) -> None:
-        """A problem that lasts, by its name; an empty reason says that it is over. The state tells all that last."""
+        """A problem that lasts, by its name; an empty reason says that it is over. The state tells all that last.
+
+        The names are what kind of trouble it is: a reason that changes with each tick is not a log line with each tick.
+        """
         if reason:
             self._troubles[key] = reason
         elif self._troubles.pop(key, None) is None:
             return
         if self._troubles:
-            self.state("degraded", "; ".join(self._troubles.values())[:500])
+            self.state("degraded", "; ".join(self._troubles.values())[:500], kind=", ".join(sorted(self._troubles)))
         elif self._is_ready:
             self.state("ready")
         else:
@@ -257,6 +272,7 @@ class App(Generic[S]):
             self._guarded(call)
 
     def _say_health(self) -> None:
+        self._log_state()  # a text that was held back is told when its time has come
         counters = self.bus.counters
         state, reason = self._status
         self.publish(

@@ -47,6 +47,19 @@ _SNDMORE: Final = int(zmq.SNDMORE)
 _RCVMORE: Final = int(zmq.RCVMORE)
 
 
+def bound(socket: zmq.Socket[bytes], *, linger_ms: int) -> None:
+    """Give a socket of the bus, at either end, the bounds that all of them have; before it binds or connects.
+
+    Args:
+        socket: any type.
+        linger_ms: how long closing waits for what has not gone out.
+    """
+    socket.setsockopt(zmq.LINGER, linger_ms)
+    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
+    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
+    socket.setsockopt(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
+
+
 def receive_frames(socket: zmq.Socket[bytes]) -> list[bytes]:
     """One message, without waiting; pyzmq's ``recv_multipart`` takes about twice as long.
 
@@ -216,10 +229,7 @@ class BusClient:
         self.publisher = context.socket(zmq.XPUB)
         self.subscriber = context.socket(zmq.SUB)
         for socket in (self.publisher, self.subscriber):
-            socket.setsockopt(zmq.LINGER, 500)
-            socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
-            socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
-            socket.setsockopt(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
+            bound(socket, linger_ms=500)
             socket.setsockopt(zmq.RECONNECT_IVL, 20)
             socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
         # A reconnect keeps the old subscriptions alive on our side: without this the new bus would not be noticed.

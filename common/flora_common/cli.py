@@ -70,6 +70,8 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
                 raise
             # A path that the person named: missing, not permitted, a file where a folder must be.
             raise BadInput(f"{problem.filename}: {problem.strerror}") from problem
+        if result == INTERRUPTED_STATUS:  # by version, Typer turns Ctrl-C into this status without a word
+            raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
 
     return run_cli(program, work)

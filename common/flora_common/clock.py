@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Protocol
 
 NS = 1_000_000_000
-
-SYNCHRONISED_MARK = Path("/run/systemd/timesync/synchronized")
 
 
 class Clock(Protocol):
@@ -150,11 +147,6 @@ class LeaderClock(FollowerClock):
 
     def move_to(self, mono_ns: int) -> None:
         super().observe(*self._wait(mono_ns / NS))
-
-
-def utc_is_synchronised() -> bool:
-    """Whether systemd-timesyncd has set the wall clock since boot; a Pi starts without one."""
-    return SYNCHRONISED_MARK.exists()
 
 
 def unix_seconds(utc_ns: int) -> bytes:

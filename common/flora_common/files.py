@@ -11,6 +11,7 @@ import contextlib
 import errno
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -135,3 +136,46 @@ def sha256_of_file(path: Path) -> str:
 def sha256_of_bytes(data: bytes) -> str:
     """SHA-256 of bytes as 64 hex digits."""
     return hashlib.sha256(data).hexdigest()
+
+
+@contextlib.contextmanager
+def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """A new empty folder that becomes ``path`` when the block ends without an error; after one, nothing is left.
+
+    All files in it are flushed to the disk first. With ``replace`` an old folder steps aside for the new one, and is
+    removed when that stands.
+
+    Raises:
+        DiskFull: no room, named with the path.
+        FileExistsError: ``path`` is there, and ``replace`` was not asked for.
+    """
+    with _full_disk_told(path, "nothing was written"):
+        make_folder(path.parent)
+        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX))
+        try:
+            new = staging / "new"
+            new.mkdir()
+            yield new
+            _flush_tree(new)
+            if replace and path.exists():
+                path.rename(staging / "old")
+                try:
+                    new.rename(path)
+                except BaseException:
+                    (staging / "old").rename(path)
+                    raise
+            elif path.exists():
+                raise FileExistsError(errno.EEXIST, "is there already", str(path))
+            else:
+                new.rename(path)
+            fsync_folder(path.parent)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _flush_tree(folder: Path) -> None:
+    for parent, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            with (Path(parent) / name).open("rb") as file:
+                os.fsync(file.fileno())
+        fsync_folder(Path(parent))

@@ -9,13 +9,26 @@ import contextlib
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 Sink = Callable[[int, str, str, dict[str, Any]], None]
 
 PRIORITIES: Final = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 """Python's levels to syslog's, which the journal filters on."""
+
+
+SAME_KIND_S: Final = 600.0
+"""A problem whose text changes, though it is the same, is told again after so many seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    reason: str
+    kind: str | None
+    at_s: float
 
 
 class Log:
@@ -26,16 +39,24 @@ class Log:
         sink: where lines go: (level, service, text, fields).
         level: least level to let through.
         common: fields of every line, such as the run.
+        now_s: real, monotonic seconds.
     """
 
     def __init__(
-        self, service: str, sink: Sink, *, level: int = logging.INFO, common: dict[str, Any] | None = None
+        self,
+        service: str,
+        sink: Sink,
+        *,
+        level: int = logging.INFO,
+        common: dict[str, Any] | None = None,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._service = service
         self._sink = sink
         self._level = level
         self._common = common or {}
-        self._problems: dict[str, str] = {}
+        self._now_s = now_s
+        self._problems: dict[str, _Told] = {}
 
     def event(self, name: str, *, level: int = logging.INFO, **fields: Any) -> None:
         """Something happened: ``log.event("frame_saved", tick=3, bytes=512_000)``."""
@@ -51,11 +72,24 @@ class Log:
     def error(self, name: str, **fields: Any) -> None:
         self.event(name, level=logging.ERROR, **fields)
 
-    def problem(self, key: str, reason: str, **fields: Any) -> None:
-        """A lasting problem: told when it begins or changes."""
-        if self._problems.get(key) != reason:
-            self._problems[key] = reason
-            self.warning(key, reason=reason, **fields)
+    def problem(self, key: str, reason: str, *, kind: str | None = None, **fields: Any) -> None:
+        """A lasting problem: told when it begins or changes.
+
+        Args:
+            key: its name, and the event's.
+            reason: what is wrong.
+            kind: what stays the same while the reason's text differs, as where it names the tick. Another text of
+                the same kind is told when :data:`SAME_KIND_S` have passed since the last.
+            fields: further fields of the line.
+        """
+        told, now_s = self._problems.get(key), self._now_s()
+        if told is not None:
+            if told.reason == reason:
+                return
+            if kind is not None and told.kind == kind and now_s - told.at_s < SAME_KIND_S:
+                return
+        self._problems[key] = _Told(reason, kind, now_s)
+        self.warning(key, reason=reason, **fields)
 
     def solved(self, key: str) -> None:
         """The problem is over: told once."""

@@ -11,6 +11,7 @@ they came and the reason.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 from pathlib import Path
@@ -213,6 +214,25 @@ class RecordingWriter:
     def wants_flush(self) -> bool:
         """More than a chunk waits in memory."""
         return self._tail.pending > CHUNK_BYTES
+
+    @property
+    def is_in_place(self) -> bool:
+        """Whether the file is still the one of its name; it may have been deleted or moved, its folder with it."""
+        try:
+            there = self.open_path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError:
+            return True  # a disk that does not answer is told by the next flush
+        return os.path.samestat(there, os.fstat(self._file.fileno()))
+
+    def leave(self) -> None:
+        """Finish a file that is no longer in place, as far as possible; where it was only moved, it is whole there."""
+        with contextlib.suppress(StoreError):
+            self.flush()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._commit()
+        self._file.close()
 
     def close(self) -> Path:
         """Finish the file and give it its final name.

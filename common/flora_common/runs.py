@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -151,9 +151,29 @@ class RunFolder:
         """Add a line to ``frames.csv``, flushed to the disk."""
         files.append_line(self.frames_csv, f"{file},{time_s:.3f},{light}", header=FRAMES_HEADER)
 
-    def append_track(self, time_s: float, light: Light, points_cm: Points) -> None:
-        """Add a line to ``track.csv``, flushed to the disk."""
-        files.append_line(self.track_csv, track_line(time_s, light, points_cm), header=TRACK_HEADER)
+    def append_track(
+        self, time_s: float, light: Light, points_cm: Points, extras: Mapping[str, float] | None = None
+    ) -> None:
+        """Add a line to ``track.csv``, flushed to the disk.
+
+        ``extras`` become further columns of a new table; of one that is there, those that it has.
+        """
+        given = dict(extras or {})
+        there = self._track_columns()
+        names = list(given) if there is None else there
+        line = track_line(time_s, light, points_cm) + "".join(f",{given.get(name, 0.0):g}" for name in names)
+        files.append_line(self.track_csv, line, header=",".join([TRACK_HEADER, *names]))
+
+    def _track_columns(self) -> list[str] | None:
+        """The further columns of ``track.csv``; None where there is no whole first line."""
+        try:
+            with self.track_csv.open() as file:
+                first = file.readline()
+        except (OSError, UnicodeDecodeError):
+            return None
+        if not first.endswith("\n") or not first.startswith(TRACK_HEADER):
+            return None
+        return [name for name in first.strip()[len(TRACK_HEADER) :].split(",") if name]
 
 
 def track_line(time_s: float, light: Light, points_cm: Points) -> str:

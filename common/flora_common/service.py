@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +28,7 @@ from flora_common.cli import run_cli, version_line
 from flora_common.config import RigSection, config_text, load_config
 from flora_common.errors import ConfigError
 from flora_common.files import make_folder
+from flora_common.lock import AlreadyHeld, hold
 from flora_common.log import Log, choose_sink
 
 S = TypeVar("S", bound=msgspec.Struct)
@@ -104,21 +104,15 @@ def _only_one(name: str, rig: RigSection) -> Iterator[None]:
     folder = Path(rig.state_dir)
     try:
         make_folder(folder)
-        file = (folder / f"{name}.lock").open("a+", encoding="ascii")
+        lock = hold(folder / f"{name}.lock")
     except OSError as problem:
         raise ConfigError(f"[rig] state_dir {folder}: cannot be written ({problem.strerror})") from problem
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            pid = file.read(20).strip() or "unknown"
-            raise ConfigError(f"{name} already runs for rig `{rig.name}` (pid {pid}); stop it first") from None
-        # On a full disk the lock holds all the same, its holder only stays nameless: the plant needs its lamps.
-        with contextlib.suppress(OSError):
-            os.ftruncate(file.fileno(), 0)
-            os.write(file.fileno(), f"{os.getpid()}\n".encode())
+    except AlreadyHeld as by:
+        raise ConfigError(f"{name} already runs for rig `{rig.name}` (pid {by.pid}); stop it first") from None
+    try:
         yield
+    finally:
+        os.close(lock)
 
 
 def _destination(flag: str) -> str:

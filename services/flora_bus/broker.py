@@ -14,9 +14,8 @@ import zmq
 
 from flora_common.bus import (
     HELLO_PREFIX,
-    HIGH_WATER_MARK,
-    MAX_FRAME_BYTES,
     BusAddress,
+    bound,
     kept_kinds,
     receive_frames,
     send_frames,
@@ -97,10 +96,7 @@ class Broker:
         self.incoming = context.socket(zmq.XSUB)
         self.outgoing = context.socket(zmq.XPUB)
         for socket in (self.incoming, self.outgoing):
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
-            socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
-            socket.setsockopt(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
+            bound(socket, linger_ms=0)
         # Repeated subscriptions are told as well: each late joiner gets its last values.
         self.outgoing.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.incoming.bind(address.publish)

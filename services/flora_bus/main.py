@@ -10,8 +10,9 @@ import zmq
 
 from flora_bus.broker import Broker, BrokerCounters
 from flora_common.app import App
-from flora_common.errors import BusUnreachable
+from flora_common.errors import BusUnreachable, ConfigError
 from flora_common.files import make_folder
+from flora_common.lock import AlreadyHeld, hold
 from flora_common.service import run_service
 
 
@@ -19,10 +20,34 @@ class BusSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[bus]``: nothing to set; the endpoints are in ``[rig]``, because all services need them."""
 
 
+def hold_socket(endpoint: str) -> None:
+    """Keep other buses away from an ``ipc://`` endpoint until this process ends.
+
+    ZeroMQ takes a socket's file away from whoever listens there and makes its own: both buses would run on, the first
+    one unheard. The lock beside it is never let go of by hand, because ZeroMQ still removes the file after closing.
+
+    Raises:
+        ConfigError: another bus listens there, or its folder cannot be written.
+    """
+    path = endpoint.removeprefix("ipc://")
+    if path == endpoint or path.startswith("@"):
+        return  # the kernel itself refuses a second listener
+    try:
+        make_folder(Path(path).parent)
+        hold(Path(f"{path}.lock"))
+    except AlreadyHeld as by:
+        raise ConfigError(
+            f"{endpoint}: already served by pid {by.pid}; stop it first, or give this rig endpoints of its own"
+        ) from None
+    except OSError as problem:
+        raise ConfigError(f"{endpoint}: the socket's folder cannot be written ({problem.strerror})") from problem
+
+
 def build(app: App[BusSection]) -> None:
-    for endpoint in (app.rig.bus_publish, app.rig.bus_subscribe):
-        if endpoint.startswith("ipc://"):
-            make_folder(Path(endpoint.removeprefix("ipc://")).parent)
+    if app.rig.bus_publish == app.rig.bus_subscribe:
+        raise ConfigError(f"[rig] bus_publish and bus_subscribe are both {app.rig.bus_publish}; they must differ")
+    hold_socket(app.rig.bus_publish)
+    hold_socket(app.rig.bus_subscribe)
     try:
         broker = Broker(app.rig.bus)
     except zmq.ZMQError as problem:

@@ -240,15 +240,18 @@ class FlashService:
 
     def _answered(self) -> None:
         self._app.trouble("answer", "")
+        self._go_on()
+
+    def _answer_timed_out(self) -> None:
+        waited_s = self._app.config.answer_timeout_s
+        tick = self._unanswered
+        self._app.trouble("answer", f"tick {tick}: the lamps did not answer within {waited_s:g} s; going on")
+        self._go_on()
+
+    def _go_on(self) -> None:
         self._cancel("answer")
         self._unanswered = 0
         self._proceed()
-
-    def _answer_timed_out(self) -> None:
-        tick = self._unanswered
-        self._answered()
-        waited_s = self._app.config.answer_timeout_s
-        self._app.trouble("answer", f"tick {tick}: the lamps did not answer within {waited_s:g} s; going on")
 
     # setup runs
 

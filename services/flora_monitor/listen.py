@@ -1,4 +1,4 @@
-"""The monitor's ear: everything, or one rig, from the bus, with word when there is no bus."""
+"""The monitor's ear: everything, or one rig, from the bus, with word when there is nothing to hear."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ import zmq
 from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
 from flora_common.config import RigSection
-from flora_monitor.stats import matches, topic_text
+from flora_monitor.stats import matches, rig_of, topic_text
 
 NO_BUS_AFTER_S: Final = 2.0
+ANSWER_WITHIN_S: Final = 0.5
+SILENT_AFTER_S: Final = 3.0
+RIGS_WITHIN_S: Final = 2.0
+MOST_RIGS: Final = 10
 PROGRAM: Final = "flora-monitor"
 
 
@@ -49,13 +53,16 @@ class Listener:
     ) -> None:
         self.client = BusClient(rig.bus, rig=only_rig or rig.name, source=PROGRAM, clock=SystemClock())
         self.client.subscribe_prefixes(f"{only_rig}/".encode() if only_rig else b"")
-        self._address = rig.bus_subscribe
+        self._rig = rig
+        self._only_rig = only_rig
         self._pattern = pattern
         self._poller = zmq.Poller()
         self._poller.register(self.client.subscriber, zmq.POLLIN)
         self._poller.register(self.client.publisher, zmq.POLLIN)
         self._began_s = time.monotonic()
+        self._connected_s: float | None = None
         self._has_warned = False
+        self._is_told = False
         self._is_patient = is_patient
         self.client.connect()
 
@@ -75,14 +82,39 @@ class Listener:
             self._poller.poll(round(every_s * 1000))
             was_connected = self.connected
             self.client.handle_publisher()
-            arrivals = [a for a in self.client.receive_all() if matches(self._pattern, topic_text(a))]
-            if not self.connected and not self._has_warned and self.waited_s >= NO_BUS_AFTER_S:
-                self._has_warned = True
-                self.warn(
-                    f"no bus answers at {self._address}; "
-                    + ("waiting for it" if self._is_patient else "is flora-bus running?")
-                )
+            heard = self.client.receive_all()
+            self._is_told = self._is_told or bool(heard)  # whoever says something needs no explanation
+            arrivals = [a for a in heard if matches(self._pattern, topic_text(a))]
+            if not self.connected and self.waited_s >= NO_BUS_AFTER_S:
+                self._warn_of_no_bus("waiting for it" if self._is_patient else "is flora-bus running?")
+            if self.connected and self._connected_s is None:
+                self._connected_s = time.monotonic()
+            if self._connected_s is not None and time.monotonic() - self._connected_s >= SILENT_AFTER_S:
+                self.explain_silence()
             yield Batch(arrivals, was_connected, time.monotonic())
+
+    def explain_silence(self) -> None:
+        """Where nothing was heard so far: say once on stderr whether the bus answers, and which rigs it has."""
+        if self._is_told:
+            return
+        if not self.connected:
+            if self.waited_s >= ANSWER_WITHIN_S:
+                self._warn_of_no_bus("is flora-bus running?")
+            return
+        self._is_told = True
+        rigs = rigs_on(self._rig)
+        if not rigs:
+            self.warn(f"nothing is heard, of any rig; the bus at {self._rig.bus_subscribe} answers")
+            return
+        if self._only_rig is None or self._only_rig in rigs:
+            return  # it has just begun to talk
+        more = f" and {len(rigs) - MOST_RIGS} more" if len(rigs) > MOST_RIGS else ""
+        self.warn(f"nothing is heard of rig `{self._only_rig}`; on this bus are: {', '.join(rigs[:MOST_RIGS])}{more}")
+
+    def _warn_of_no_bus(self, what_now: str) -> None:
+        if not self._has_warned:
+            self._has_warned = True
+            self.warn(f"no bus answers at {self._rig.bus_subscribe}; {what_now}")
 
     def warn(self, text: str) -> None:
         """One line on stderr."""
@@ -90,3 +122,23 @@ class Listener:
 
     def close(self) -> None:
         self.client.close()
+
+
+def rigs_on(rig: RigSection) -> list[str]:
+    """Names of the rigs whose messages a bus keeps, or passes on meanwhile; none where it does not answer in time."""
+    client = BusClient(rig.bus, rig=rig.name, source=PROGRAM, clock=SystemClock())
+    client.subscribe_prefixes(b"")
+    poller = zmq.Poller()
+    poller.register(client.subscriber, zmq.POLLIN)
+    poller.register(client.publisher, zmq.POLLIN)
+    found: set[str] = set()
+    give_up_s = time.monotonic() + RIGS_WITHIN_S
+    try:
+        client.connect()
+        while not client.connected and time.monotonic() < give_up_s:
+            poller.poll(50)
+            client.handle_publisher()
+            found |= {rig_of(arrival) for arrival in client.receive_all(limit=4096)}
+    finally:
+        client.close()
+    return sorted(found - {""})

@@ -37,7 +37,7 @@ from flora_monitor.options import (
     Subscribe,
     common_options,
 )
-from flora_monitor.stats import Board, matches, topic_lines
+from flora_monitor.stats import Board, checked_pattern, matches, topic_lines
 
 RECORD_FLUSH_S: Final = 5.0
 
@@ -51,10 +51,11 @@ app = typer.Typer(
 )
 
 
-def _until(batches: Iterator[Batch], seconds: float | None, began_s: float) -> Iterator[Batch]:
-    for batch in batches:
+def _until(listener: Listener, seconds: float | None, began_s: float, *, every_s: float = 0.25) -> Iterator[Batch]:
+    for batch in listener.batches(every_s=every_s):
         yield batch
         if seconds is not None and batch.real_s - began_s >= seconds:
+            listener.explain_silence()
             return
 
 
@@ -93,7 +94,7 @@ def tail(
     console = Console(highlight=False, soft_wrap=False)
     shown = 0
     with _summed_up(lambda: _said(board, began_s)):
-        for batch in _until(listener.batches(), seconds, began_s):
+        for batch in _until(listener, seconds, began_s):
             for arrival in batch.arrivals:
                 since_s = board.hear(arrival, batch.real_s)
                 if arrival.verdict == "repeated":
@@ -124,7 +125,7 @@ def rates(
     board, listener, began_s = common.board(interval), common.listener(pattern), time.monotonic()
 
     def heard() -> Iterator[Batch]:
-        for batch in _until(listener.batches(), seconds, began_s):
+        for batch in _until(listener, seconds, began_s):
             for arrival in batch.arrivals:
                 board.hear(arrival, batch.real_s)
             yield batch
@@ -162,12 +163,13 @@ def topics(
 ) -> None:
     """The catalogue, and what of it has been heard: the bus tells what it keeps at once."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
-    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    board, listener, began_s = common.board(), common.listener(pattern, is_patient=False), time.monotonic()
     with _summed_up(lambda: _said(board, began_s)):
-        for batch in _until(listener.batches(every_s=0.05), seconds, began_s):
+        for batch in _until(listener, seconds, began_s, every_s=0.05):
             for arrival in batch.arrivals:
                 board.hear(arrival, batch.real_s)
             if seconds is None and (batch.is_live or listener.waited_s > NO_BUS_AFTER_S + 0.2):
+                listener.explain_silence()
                 break
     lines = topic_lines(board.rows(time.monotonic()), pattern, common.only_rig)
     if common.as_json:
@@ -178,7 +180,7 @@ def topics(
 
 @app.command()
 def health(
-    pattern: Annotated[str, typer.Argument(help="glob on the services' names")] = "*",
+    pattern: Annotated[str, typer.Argument(help="glob on the services' names", callback=checked_pattern)] = "*",
     rig: Rig = None,
     config: Config = None,
     publish: Publish = None,
@@ -207,6 +209,7 @@ def health(
         is_over = batch.real_s - answered_s >= limit_s
         if is_over or (seconds is None and batch.is_live and board.is_decided):
             break
+    listener.explain_silence()
     lines = board.lines(real_s=time.monotonic(), mono_ns=clock.mono_ns())
     listener.close()
     if common.as_json:
@@ -241,7 +244,7 @@ def record(
 
     def take() -> None:
         flushed_s, is_told = began_s, False
-        for batch in _until(listener.batches(), seconds, began_s):
+        for batch in _until(listener, seconds, began_s):
             if listener.connected and not is_told:
                 is_told = True
                 listener.warn(f"recording to {writer.open_path}")
@@ -264,7 +267,9 @@ def record(
 @app.command()
 def replay(
     file: Annotated[Path, typer.Argument(help="a recording")],
-    only: Annotated[str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded")] = "*",
+    only: Annotated[
+        str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded", callback=checked_pattern)
+    ] = "*",
     rate: Annotated[float, typer.Option("--rate", min=0.001, help="recorded seconds per second")] = 1.0,
     as_fast: Annotated[bool, typer.Option("--as-fast", help="without waiting")] = False,
     rig: Annotated[str | None, typer.Option("--rig", help="say it as this rig", metavar="NEW")] = None,
@@ -321,18 +326,25 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
 
 
 @app.command()
-def check(file: Annotated[Path, typer.Argument(help="a recording")], as_json: Json = False) -> None:
-    """Read a recording back from end to end; status 1 when it is cut or damaged."""
-    checked = tape.check(file)
-    if as_json or not sys.stdout.isatty():
-        print(tape.to_json(checked))
-    else:
-        for line in tape.check_lines(checked):
-            print(line)
-        whole = checked.problem or "whole"
-        print(f"{file}: {checked.messages} messages over {checked.span_s:.1f} s; {whole}")
-    if checked.problem:
-        raise typer.Exit(1)
+def check(files: Annotated[list[Path], typer.Argument(help="recordings")], as_json: Json = False) -> None:
+    """Read recordings back from end to end; status 1 when one is cut or damaged, 2 when one cannot be read at all."""
+    status = 0
+    for file in files:
+        try:
+            checked = tape.check(file)
+        except BadInput as problem:
+            print(f"{PROGRAM}: {problem}", file=sys.stderr, flush=True)
+            status = max(status, problem.exit_status)
+            continue
+        if as_json or not sys.stdout.isatty():
+            print(tape.to_json(file, checked), flush=True)
+        else:
+            for line in tape.check_lines(checked):
+                print(line)
+            whole = checked.problem or "whole"
+            print(f"{file}: {checked.messages} messages over {checked.span_s:.1f} s; {whole}")
+        status = max(status, 1 if checked.problem else 0)
+    raise typer.Exit(status)
 
 
 @app.callback(invoke_without_command=True)

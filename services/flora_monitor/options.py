@@ -17,7 +17,7 @@ from flora_common.runs import RunFolder
 from flora_common.toml_strict import convert
 from flora_monitor.health import services_of_catalogue
 from flora_monitor.listen import Listener
-from flora_monitor.stats import Board
+from flora_monitor.stats import Board, checked_pattern
 
 DEFAULT_TICK_S: Final = 300.0
 
@@ -61,11 +61,11 @@ class Common:
     def board(self, interval_s: float | None = None) -> Board:
         return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
 
-    def listener(self, pattern: str = "*") -> Listener:
-        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern)
+    def listener(self, pattern: str = "*", *, is_patient: bool = True) -> Listener:
+        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, is_patient=is_patient)
 
 
-Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone")]
+Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone", callback=checked_pattern)]
 Rig = Annotated[str | None, typer.Option("--rig", help="this rig only", metavar="NAME")]
 Config = Annotated[Path | None, typer.Option("--config", help="the rig's TOML file", metavar="FILE")]
 Publish = Annotated[str | None, typer.Option("--publish", help="where the bus hears", metavar="ENDPOINT")]

@@ -10,7 +10,8 @@ from typing import Final
 
 from flora_common.bus import LATE_FACTOR, Arrival
 from flora_common.clock import NS
-from flora_common.messages import CATALOGUE, Period, spec_of
+from flora_common.errors import BadInput, BadMessage
+from flora_common.messages import CATALOGUE, Period, spec_of, split_topic
 
 MAX_STREAMS: Final = 4096
 OTHERS: Final = "(others)"
@@ -20,6 +21,31 @@ OTHERS: Final = "(others)"
 def topic_text(arrival: Arrival) -> str:
     """The topic as text, whatever its bytes are."""
     return arrival.parts[0].decode("utf-8", "backslashreplace")[:200]
+
+
+def rig_of(arrival: Arrival) -> str:
+    """The rig that a topic names, also one whose message cannot be read; empty where it names none."""
+    try:
+        return split_topic(arrival.parts[0])[0]
+    except BadMessage:
+        return ""
+
+
+def checked_pattern(pattern: str) -> str:
+    """A glob as it was given.
+
+    Raises:
+        BadInput: a ``[`` without its ``]``, which would fit nothing.
+    """
+    at = pattern.find("[")
+    while at >= 0:
+        # As in the shell: a `]` right after `[` or `[!` is one of the characters.
+        first = at + 2 if pattern[at + 1 : at + 2] == "!" else at + 1
+        end = pattern.find("]", first + 1)
+        if end < 0:
+            raise BadInput(f"pattern {pattern!r}: `[` without `]`; no topic fits it")
+        at = pattern.find("[", end + 1)
+    return pattern
 
 
 def matches(pattern: str, topic: str) -> bool:

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 import zmq
 
-from flora_common.bus import HIGH_WATER_MARK, BusAddress, SequenceCheck
+from flora_common.bus import BusAddress, SequenceCheck, bound
 from flora_common.clock import NS, unix_seconds
 from flora_common.errors import BadMessage, BusUnreachable
 from flora_common.messages import decode, split_topic
@@ -50,8 +50,7 @@ class Player:
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.XPUB)
         # A full queue makes the sender wait: nothing of a recording is dropped on the way to the bus.
         self._socket.setsockopt(zmq.XPUB_NODROP, 1)
-        self._socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
-        self._socket.setsockopt(zmq.LINGER, FLUSH_TIMEOUT_MS)
+        bound(self._socket, linger_ms=FLUSH_TIMEOUT_MS)
         self._socket.connect(address.publish)
         if not self._socket.poll(round(BUS_TIMEOUT_S * 1000)):
             self._socket.close(linger=0)
@@ -181,8 +180,8 @@ def check_lines(checked: Checked) -> Iterator[str]:
         yield f"{shown:<28} {topic.messages:>9} {topic.lost:>6} {topic.repeated:>9} {topic.bad:>6}"
 
 
-def to_json(checked: Checked) -> str:
+def to_json(path: Path, checked: Checked) -> str:
     """The whole check as one JSON object."""
     topics = [checked.topics[name] for name in sorted(checked.topics)]
-    whole = {"messages": checked.messages, "whole": not checked.problem, "problem": checked.problem}
+    whole = {"file": str(path), "messages": checked.messages, "whole": not checked.problem, "problem": checked.problem}
     return msgspec.json.encode(whole | {"metadata": checked.metadata, "topics": topics}).decode()

@@ -23,6 +23,12 @@ MIB: Final = 1 << 20
 _NUMBER: Final = re.compile(r"-(\d+)\.mcap")
 
 
+def number_of(path: Path) -> int:
+    """The running number in a recording's name; 0 for a name without one."""
+    found = _NUMBER.search(path.name)
+    return int(found.group(1)) if found else 0
+
+
 class RecorderSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[recorder]``: when what was heard goes to the disk, and when a new file is begun."""
 
@@ -57,6 +63,7 @@ class Recorder:
         limits: when a new file is begun.
         clock: rig time.
         say: told about the file at its start, at its end and with each flush.
+        on_gone: told in a sentence about a file that was deleted or moved while it was written.
         metadata: for each file.
     """
 
@@ -68,17 +75,20 @@ class Recorder:
         limits: Limits,
         clock: Clock,
         say: Callable[[Recording], None],
+        on_gone: Callable[[str], None],
         metadata: dict[str, str] | None = None,
     ) -> None:
-        self.lost = 0
+        self._lost = 0
         self._folder = folder
         self._rig = rig
         self._limits = limits
         self._clock = clock
         self._say = say
+        self._on_gone = on_gone
         self._metadata = {"rig": rig, **(metadata or {})}
         self._writer: RecordingWriter | None = None
         self._opened_ns = 0
+        self._last_number = 0
         self._is_stalled = False
 
     def recover_left_over(self) -> list[Recovered]:
@@ -109,7 +119,7 @@ class Recorder:
             with self._stalling():
                 self._open()
         if self._writer is None:
-            self.lost += 1
+            self._lost += 1
             return
         self._writer.add(arrival, utc_ns=self._clock.utc_ns(), rig=self._rig)
         if self._is_stalled:
@@ -135,10 +145,13 @@ class Recorder:
     def flush(self) -> None:
         """Put on the disk what waits, and say how the recording is.
 
+        A file that was deleted or moved while it was written is left behind, and a new one is begun.
+
         Raises:
             StoreError: as :meth:`hear`.
         """
         with self._stalling():
+            self._leave_if_gone()
             if self._writer is None:
                 self._open()
             elif self._is_due(self._writer):
@@ -154,6 +167,7 @@ class Recorder:
         Raises:
             StoreError: no room. The present file goes on, or is left open for the next start to recover.
         """
+        self._leave_if_gone()
         self.close()
         self._open()
 
@@ -168,25 +182,41 @@ class Recorder:
             return
         writer.flush()  # where this fails the file stays open and all waits
         self._writer = None
-        self.lost += writer.lost
+        self._lost += writer.lost
         writer.close()
         self._tell(writer, closed=True)
 
-    def all_lost(self) -> int:
-        """Messages that could not be recorded since the start."""
-        return self.lost + (self._writer.lost if self._writer else 0)
+    def _leave_if_gone(self) -> None:
+        writer = self._writer
+        if writer is None or writer.is_in_place:
+            return
+        self._writer = None
+        self._lost += writer.lost
+        writer.leave()
+        self._on_gone(
+            f"{writer.open_path} was deleted or moved while it was written, with {writer.messages} messages;"
+            " the recording goes on in a new file"
+        )
+
+    @property
+    def lost(self) -> int:
+        """Messages that could not be recorded since the start, for want of room."""
+        return self._lost + (self._writer.lost if self._writer else 0)
 
     def _open(self) -> None:
         self._writer = RecordingWriter(self._free_name(), metadata=self._metadata)
         self._opened_ns = self._clock.mono_ns()
+        self._last_number = number_of(self._writer.path)
         self._writer.flush()
         self._tell(self._writer, closed=False)
 
     def _free_name(self) -> Path:
-        """``<utc>-<n>.mcap``: n goes on from the files that are there, so that order and names survive a set clock."""
+        """``<utc>-<n>.mcap``: n goes on from the files that are there, so that order and names survive a set clock.
+
+        It goes on from the last one opened too: no name means two recordings, even where the folder was emptied.
+        """
         stamp = datetime.fromtimestamp(self._clock.utc_ns() // NS, UTC).strftime("%Y%m%dT%H%M%SZ")
-        there = [_NUMBER.search(path.name) for path in self._folder.glob("*.mcap*")]
-        number = 1 + max((int(found.group(1)) for found in there if found), default=0)
+        number = 1 + max([self._last_number, *map(number_of, self._folder.glob("*.mcap*"))])
         return self._folder / f"{stamp}-{number:04d}.mcap"
 
     def _tell(self, writer: RecordingWriter, *, closed: bool) -> None:

@@ -22,9 +22,11 @@ def build(app: App[RecorderSection]) -> None:
         limits=Limits.of(app.config),
         clock=app.clock,
         say=app.publish,
+        on_gone=lambda sentence: app.trouble("gone", sentence),
         metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
     )
     is_recovered = False
+    lost_told = 0
 
     def recover_left_over() -> None:
         nonlocal is_recovered
@@ -40,11 +42,19 @@ def build(app: App[RecorderSection]) -> None:
             # The reason must not change with every message: each change is a message itself.
             app.trouble("disk", f"not recording: {problem}")
 
+    def tell_lost() -> None:
+        nonlocal lost_told
+        if recorder.lost != lost_told:
+            app.log.warning("messages_lost", new=recorder.lost - lost_told, all=recorder.lost)
+            lost_told = recorder.lost
+
     def flush() -> None:
+        app.trouble("gone", "")  # the last flush told it; this one tells whether the new file is there
         recorder.flush()
         if not is_recovered:
             recover_left_over()
         app.trouble("disk", "")
+        tell_lost()
 
     def hear(arrival: Arrival) -> None:
         guarded(lambda: recorder.hear(arrival))
@@ -57,6 +67,7 @@ def build(app: App[RecorderSection]) -> None:
             recorder.close()
         except StoreError as problem:
             app.log.problem("not_finished", str(problem))
+        tell_lost()
 
     # Before READY: files are read whole here, which may take longer than the watchdog allows.
     guarded(recover_left_over)

@@ -7,18 +7,19 @@ fills itself again. WAL with ``synchronous=FULL``: what :meth:`Ledger.stored` ha
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final, Literal
+from typing import Final, Literal
 
 from flora_common.errors import StoreError
 from flora_common.files import make_folder
+from flora_common.lock import AlreadyHeld, hold
 from flora_uploader.policy import Kind
+from flora_uploader.reserve import Reserve
 
 FileState = Literal["waiting", "stored", "damaged", "freed", "vanished"]
 """
@@ -29,6 +30,7 @@ vanished: gone from the spool before it was stored.
 """
 
 FILE_NAME: Final = "uploader.sqlite3"
+RESERVE_NAME: Final = "uploader.reserve"
 VERSION: Final = 1
 
 _SCHEMA: Final = """
@@ -110,6 +112,10 @@ class Ledger:
         folder: the rig's state folder.
         target: where files go; under another target everything counts as waiting again.
 
+    Attributes:
+        reserve: room kept for opening it.
+        gave_reserve: the disk was full, and the reserve was given up for opening it.
+
     Raises:
         StoreError: held by another process, made by a newer version, or not writable.
     """
@@ -117,10 +123,22 @@ class Ledger:
     def __init__(self, folder: Path, target: str) -> None:
         self.path = folder / FILE_NAME
         self.replaced: str = ""
+        self.reserve = Reserve(folder / RESERVE_NAME)
+        self.gave_reserve = False
         make_folder(folder)
-        self._lock = _lock(folder / f"{FILE_NAME}.lock")
         try:
+            self._begin(target)
+        except LedgerProblem as problem:
+            self.gave_reserve = self.reserve.give_up(problem)
+            if not self.gave_reserve:
+                raise
+            self._begin(target)
+
+    def _begin(self, target: str) -> None:
+        with contextlib.ExitStack() as undo:
+            undo.callback(os.close, _lock(self.path.with_name(f"{FILE_NAME}.lock")))
             self._db = self._open_or_replace()
+            undo.callback(self._db.close)
             with _told():
                 self.id = self._fact("id", os.urandom(4).hex())
                 if self._fact("target", target) != target:
@@ -131,9 +149,7 @@ class Ledger:
                 self._db.execute("UPDATE files SET state = 'waiting' WHERE state = 'damaged'")
                 self._turn = int(self._db.execute("SELECT coalesce(max(turn), 0) FROM files").fetchone()[0])
                 self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
-        except BaseException:
-            self._lock.close()
-            raise
+            self._held = undo.pop_all()
 
     def _open_or_replace(self) -> sqlite3.Connection:
         try:
@@ -337,8 +353,7 @@ class Ledger:
             self.counts[after] += 1
 
     def close(self) -> None:
-        self._db.close()
-        self._lock.close()
+        self._held.close()
 
 
 def read_only(folder: Path) -> sqlite3.Connection:
@@ -368,23 +383,14 @@ def _told() -> Iterator[None]:
         ) from problem
 
 
-def _lock(path: Path) -> IO[str]:
-    """Hold the ledger for this process; the kernel lets go of it however the process ends."""
+def _lock(path: Path) -> int:
+    """Hold the ledger for this process; returns the lock's descriptor."""
     try:
-        file = path.open("a+", encoding="ascii")
+        return hold(path)
     except OSError as problem:
         raise LedgerProblem(f"{path}: cannot be written ({problem.strerror})") from problem
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.seek(0)
-        pid = file.read(20).strip() or "unknown"
-        file.close()
+    except AlreadyHeld as by:
         raise StoreError(
-            f"{path.with_suffix('')}: a flora-uploader works with this ledger already (pid {pid}); it uploads by itself"
+            f"{path.with_suffix('')}: a flora-uploader works with this ledger already (pid {by.pid});"
+            " it uploads by itself"
         ) from None
-    # On a full disk the lock holds all the same, its holder only stays nameless.
-    with contextlib.suppress(OSError):
-        os.ftruncate(file.fileno(), 0)
-        os.write(file.fileno(), f"{os.getpid()}\n".encode())
-    return file

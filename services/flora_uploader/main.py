@@ -17,6 +17,7 @@ from flora_uploader.model import Event
 from flora_uploader.uploader import Uploader
 
 LEDGER_AGAIN_S: Final = 10.0
+RESERVE_EVERY_S: Final = 60.0
 
 
 def build(app: App[UploaderSection]) -> None:
@@ -39,6 +40,10 @@ def build(app: App[UploaderSection]) -> None:
             return
         app.trouble("ledger", "")
         app.on_exit(ledger.close)
+        if ledger.gave_reserve:
+            app.log.warning("reserve_given_up", path=ledger.reserve.path, reason="no room to open the ledger")
+        ledger.reserve.make()
+        app.every(RESERVE_EVERY_S, ledger.reserve.make)
         uploader = make_uploader(app.rig, config, ledger, say, may_free=True)
         app.on_exit(finish)
         arm(0.0)  # without the bus too: pictures do not wait for it

@@ -298,6 +298,20 @@ def test_nonsense_ends_no_service_and_is_counted(bus: Any) -> None:
     assert unreadable == expected.bad
 
 
+# A process of its own, which ends without closing: libzmq aborts now and then where a socket is closed while its
+# connection goes down in the middle of a message (session_base.cpp, clean_pipes).
+HUGE_FRAME = """
+import os, sys, zmq
+huge = zmq.Context.instance().socket(zmq.XPUB)
+huge.connect(sys.argv[1])
+assert huge.poll(5000)
+huge.send_multipart([b"test/tick", bytes(100_000_000), b"0"])
+assert huge.poll(10_000)  # the bus has ended the connection: our one subscriber is gone
+print("ended", flush=True)
+os._exit(0)
+"""
+
+
 @pytest.mark.parametrize("hostile", ["huge_frame", "no_zmtp", "half_a_greeting", "silent"])
 def test_hostile_connections_do_not_disturb_the_others(bus: Any, hostile: str) -> None:
     process = bus.start_service("flora-bus")
@@ -307,12 +321,9 @@ def test_hostile_connections_do_not_disturb_the_others(bus: Any, hostile: str) -
     path = bus.address.publish.removeprefix("ipc://")
     raw = None
     if hostile == "huge_frame":
-        huge = zmq.Context.instance().socket(zmq.XPUB)
-        huge.connect(bus.address.publish)
-        assert huge.poll(5000)
-        huge.send_multipart([b"test/tick", bytes(100_000_000), b"0"])
-        assert huge.poll(10_000)  # the bus has ended the connection: our one subscriber is gone
-        huge.close(linger=0)
+        script = bus.folder / "huge.py"
+        script.write_text(HUGE_FRAME)
+        assert bus.start(str(script), bus.address.publish).stdout.readline() == "ended\n"
     else:
         raw = socket.socket(socket.AF_UNIX)
         raw.connect(path)

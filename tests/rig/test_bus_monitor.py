@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from flora_common.bus import BusClient
+from flora_common.clock import SystemClock
 from flora_common.messages import Health, LightCommand, Stem, Tick
 
 
@@ -97,6 +99,40 @@ def test_tail_ended_by_a_signal_sums_up(live: Any, number: signal.Signals) -> No
     assert tail.returncode == 0
     assert err.count("\n") == 1
     assert err.startswith("flora-monitor: ")
+
+
+def test_a_rig_that_says_nothing_is_explained_while_it_is_waited_for(live: Any) -> None:
+    other = BusClient(live.address, rig="box2", source="flora-flash", clock=SystemClock())
+    live.clients.append(other)
+    other.connect()
+    live.hear(other, lambda _: other.connected)
+    other.publish(Tick(tick=1, time_s=0.0))
+    live.hear(live.me, lambda heard: any(a.rig == "box2" for a in heard))
+    tail = monitor(live, "tail", "--rig", "nosuch", "--count", "1")
+    assert tail.stderr is not None
+    assert tail.stderr.readline() == "flora-monitor: nothing is heard of rig `nosuch`; on this bus are: box2, test\n"
+    late = BusClient(live.address, rig="nosuch", source="flora-flash", clock=SystemClock())
+    live.clients.append(late)
+    late.connect()
+    live.hear(late, lambda _: late.connected)
+    late.publish(Tick(tick=4, time_s=0.0))
+    out, err = tail.communicate(timeout=20)
+    (line,) = lines_of(out)
+    assert (line["topic"], line["tick"]) == ("nosuch/tick", 4)
+    assert err.startswith("flora-monitor: 1 messages, ")
+
+
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [(["tail", "--seconds", "0.5"], 0), (["rates", "--seconds", "0.5"], 0), (["topics"], 0), (["health"], 1)],
+)
+def test_commands_that_end_by_themselves_explain_the_silence_at_their_end(
+    live: Any, command: list[str], status: int
+) -> None:
+    process = monitor(live, *command, "--rig", "nosuch")
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert err.count("nothing is heard of rig `nosuch`; on this bus are: test\n") == 1
 
 
 def test_tail_survives_its_reader(live: Any) -> None:
@@ -240,12 +276,34 @@ def test_check_of_a_cut_file_says_where_and_fails(live: Any, tmp_path: Path) -> 
     assert "not readable after byte" in checked["problem"]
 
 
+def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -> None:
+    whole = recording(tmp_path)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-40])
+    for files, status in (([whole, whole], 0), ([cut, whole], 1), ([cut, tmp_path / "none.mcap", whole], 2)):
+        done = subprocess.run(
+            [*live_command("check"), *map(str, files)], capture_output=True, text=True, check=False, timeout=20
+        )
+        assert done.returncode == status
+        there = [file for file in files if file.exists()]
+        checked = lines_of(done.stdout)
+        assert [(c["file"], c["whole"]) for c in checked] == [(str(file), file == whole) for file in there]
+        assert done.stderr.count("cannot be read (No such file or directory)") == len(files) - len(there)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["tail", "--rig", "Box 1"], "--rig 'Box 1': a rig's name is small letters"),
         (["tail", "--subscribe", "nowhere"], "--subscribe: `bus_subscribe` "),
         (["record", "a.txt"], "a.txt: a recording's name ends in .mcap"),
+        (["tail", "test/[tick"], "pattern 'test/[tick': `[` without `]`; no topic fits it"),
+        (["rates", "[!]"], "`[` without `]`"),
+        (["topics", "[]"], "`[` without `]`"),
+        (["health", "flora-[fl"], "`[` without `]`"),
+        (["record", "a.mcap", "[t]*["], "`[` without `]`"),
+        (["replay", "a.mcap", "--only", "["], "`[` without `]`"),
+        (["check"], "check --help"),
         (["check", "none.mcap"], "none.mcap: cannot be read (No such file or directory)"),
         (["replay", "none.mcap"], "none.mcap: cannot be read (No such file or directory)"),
         (["tail", "--config", "none.toml"], "none.toml: cannot be read (No such file or directory)"),

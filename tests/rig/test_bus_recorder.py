@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -127,6 +128,30 @@ def test_rotates_by_size(recording_bus: Any) -> None:
     files = sorted(folder.glob("*.mcap"))
     assert len(files) >= 3
     assert [seq for path in files for seq in stems_in(path)] == list(range(1, tick + 1))
+
+
+def test_a_folder_that_is_deleted_is_told_and_recording_goes_on_in_a_new_file(recording_bus: Any) -> None:
+    bus = recording_bus
+    recorder = bus.start_service("flora-recorder")
+    client = bus.client()
+    bus.wait_ready(client, "flora-recorder")
+    first = last_recording(bus.hear(client, lambda heard: last_recording(heard) is not None))
+    assert first is not None
+    shutil.rmtree(bus.run_dir / "bus")
+    heard = bus.hear(
+        client, lambda heard: any(is_health_of_recorder(a) and a.message.state == "degraded" for a in heard)
+    )
+    reason = next(a.message.reason for a in heard if is_health_of_recorder(a) and a.message.state == "degraded")
+    assert f"{bus.run_dir / first.path}.open was deleted or moved while it was written" in reason
+    bus.hear(client, lambda heard: (r := last_recording(heard)) is not None and r.path != first.path)
+    bus.wait_ready(client, "flora-recorder")
+    client.publish(Tick(tick=7, time_s=1.0))
+    bus.hear(client, lambda heard: any(getattr(a.message, "tick", 0) == 7 for a in heard))
+    status, _, err = bus.stop(recorder)
+    assert status == 0
+    assert err.count("was deleted or moved") == 1
+    (path,) = (bus.run_dir / "bus").glob("*.mcap")
+    assert ticks_in(path) == [7]
 
 
 def fill(path: Path) -> None:

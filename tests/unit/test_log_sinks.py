@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from flora_common.log import PRIORITIES, Log, choose_sink, journal_sink, terminal_sink
+from flora_common.log import PRIORITIES, SAME_KIND_S, Log, choose_sink, journal_sink, terminal_sink
 
 Line = tuple[int, str, str, dict[str, Any]]
 
@@ -53,6 +53,37 @@ def test_a_lasting_problem_is_told_when_it_begins_changes_and_ends() -> None:
         ("nas", "read-only"),
         ("nas_solved", None),
     ]
+
+
+def test_a_text_that_changes_with_each_tick_is_told_every_ten_minutes() -> None:
+    now_s = 0.0
+    log, lines = collect(now_s=lambda: now_s)
+    for tick in range(1, 26):
+        log.problem("degraded", f"no photograph for tick {tick}", kind="camera")
+        now_s += 60.0
+    assert [fields["reason"] for _, _, _, fields in lines] == [f"no photograph for tick {tick}" for tick in (1, 11, 21)]
+
+
+def test_another_kind_a_solved_one_and_one_of_no_kind_are_told_at_once() -> None:
+    log, lines = collect(now_s=lambda: 0.0)
+    log.problem("degraded", "tick 1", kind="camera")
+    log.problem("degraded", "tick 2; full", kind="camera, disk")
+    log.problem("degraded", "tick 3", kind="camera")
+    log.solved("degraded")
+    log.problem("degraded", "tick 4", kind="camera")
+    log.problem("degraded", "tick 5")
+    log.problem("degraded", "tick 6")
+    said = [fields.get("reason") or text for _, _, text, fields in lines]
+    assert said == ["tick 1", "tick 2; full", "tick 3", "degraded_solved", "tick 4", "tick 5", "tick 6"]
+
+
+def test_the_same_text_is_not_told_again_however_long_it_lasts() -> None:
+    now_s = 0.0
+    log, lines = collect(now_s=lambda: now_s)
+    for _ in range(5):
+        log.problem("degraded", "no NAS", kind="target")
+        now_s += SAME_KIND_S
+    assert len(lines) == 1
 
 
 def test_terminal_line(capsys: pytest.CaptureFixture[str]) -> None:

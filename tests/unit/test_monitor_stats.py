@@ -10,10 +10,11 @@ import pytest
 
 from flora_common.bus import Arrival
 from flora_common.clock import NS
-from flora_common.messages import Health, LightCommand, Message, Stem, Tick, encode, spec_of
+from flora_common.errors import BadInput
+from flora_common.messages import CATALOGUE, Health, LightCommand, Message, Stem, Tick, encode, spec_of
 from flora_monitor import show
 from flora_monitor.health import HealthBoard, services_of_catalogue
-from flora_monitor.stats import MAX_STREAMS, OTHERS, Board, Spread, matches, topic_lines
+from flora_monitor.stats import MAX_STREAMS, OTHERS, Board, Spread, checked_pattern, matches, topic_lines
 
 
 def good(message: Message, *, mono_s: float = 0.0, rig: str = "box1", lost: int = 0) -> Arrival:
@@ -49,6 +50,18 @@ def test_spread_is_mean_and_deviation() -> None:
 )
 def test_patterns(pattern: str, topic: str, fits: bool) -> None:
     assert matches(pattern, topic) is fits
+
+
+@pytest.mark.parametrize("pattern", ["*", "[ab]*", "box[12]/[!s]*", "[]]", "[!]x]", "[[]", "a]", ""])
+def test_good_patterns_are_taken_as_they_are(pattern: str) -> None:
+    assert checked_pattern(pattern) == pattern
+
+
+@pytest.mark.parametrize("pattern", ["[", "box1/[s", "[]", "[!]", "[ab][", "[ab]*[!"])
+def test_a_bracket_that_is_not_closed_is_refused(pattern: str) -> None:
+    with pytest.raises(BadInput, match=r"`\[` without `\]`"):
+        checked_pattern(pattern)
+    assert not any(matches(pattern, f"box1/{kind}") for kind in CATALOGUE)
 
 
 def test_intervals_of_ticks_are_rig_time_and_those_of_health_real_time() -> None:

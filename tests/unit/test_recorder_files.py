@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from flora_common import recording
 from flora_common.bus import Arrival
 from flora_common.clock import FakeClock
-from flora_common.errors import BadInput, DiskFull
+from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.messages import Message, Recording, Stem, Tick, encode
 from flora_common.recording import OPEN_SUFFIX, UNREADABLE, RecordingWriter
 from flora_common.recording_reader import Recorded, RecordingReader, recover
@@ -84,7 +84,7 @@ def test_other_readers_find_schema_channel_and_index(tmp_path: Path) -> None:
             assert schema.encoding == "jsonschema"
             assert "$defs" in msgspec.json.decode(schema.data)
             assert channel.message_encoding == "msgpack"
-        assert channels["box1/stem"].metadata == {"owner": "flora-stem", "version": "1"}
+        assert channels["box1/stem"].metadata == {"owner": "flora-stem", "version": "2"}
         messages = list(reader.iter_messages(topics=["box1/stem"]))
     assert len(messages) == 1
     assert msgspec.msgpack.decode(messages[0][2].data)["outcome"] == "ok"
@@ -219,9 +219,17 @@ def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: p
     assert writer.open_path.exists()
 
 
-def make_recorder(folder: Path, clock: FakeClock, said: list[Recording], **limits: int) -> Recorder:
+def make_recorder(
+    folder: Path, clock: FakeClock, said: list[Recording], *, gone: list[str] | None = None, **limits: int
+) -> Recorder:
     bounds = {"rotate_bytes": 1 << 20, "rotate_ns": 3600 * 10**9} | limits
-    return Recorder(folder, rig="box1", limits=Limits(**bounds), clock=clock, say=said.append)
+    on_gone = ([] if gone is None else gone).append
+    return Recorder(folder, rig="box1", limits=Limits(**bounds), clock=clock, say=said.append, on_gone=on_gone)
+
+
+def hear_all(recorder: Recorder, numbers: range) -> None:
+    for seq in numbers:
+        recorder.hear(stem(seq))
 
 
 def test_recorder_rotates_by_rig_time_and_never_takes_a_name_twice(tmp_path: Path) -> None:
@@ -252,7 +260,87 @@ def test_recorder_leaves_a_full_disk_alone_until_the_next_flush(
     recorder.flush()
     recorder.close()
     assert said[-1].messages == 2
-    assert recorder.all_lost() == 0
+    assert recorder.lost == 0
+
+
+def test_recorder_counts_what_it_could_not_keep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "MAX_PENDING_BYTES", 20_000)
+    monkeypatch.setattr(recording, "CHUNK_BYTES", 4096)
+    clock, said = FakeClock(), []
+    recorder = make_recorder(tmp_path, clock, said)
+    recorder.flush()
+    with monkeypatch.context() as patch:
+        patch.setattr(recording, "_write_all", full(10**9))
+        with pytest.raises(DiskFull):
+            hear_all(recorder, range(1, 1000))
+        hear_all(recorder, range(1000, 2000))
+    lost = recorder.lost
+    assert lost > 0
+    recorder.rotate()
+    recorder.hear(stem(2000))
+    assert recorder.lost == lost
+    recorder.close()
+    assert recorder.lost == lost
+
+
+@pytest.mark.parametrize("how", ["folder deleted", "file deleted", "another in its place", "folder is a file"])
+def test_a_recording_that_is_deleted_is_noticed_at_the_next_flush(tmp_path: Path, how: str) -> None:
+    clock, said, gone = FakeClock(), [], []
+    folder = tmp_path / "bus"
+    recorder = make_recorder(folder, clock, said, gone=gone)
+    recorder.hear(stem(1))
+    recorder.flush()
+    assert gone == []
+    (first,) = folder.iterdir()
+    first.unlink()
+    if how == "another in its place":
+        first.write_bytes(b"of somebody else")
+    elif how != "file deleted":
+        folder.rmdir()
+    if how == "folder is a file":
+        folder.touch()
+        with pytest.raises(StoreError, match="cannot be written"):
+            recorder.flush()
+        folder.unlink()
+    recorder.flush()
+    assert gone == [
+        f"{first} was deleted or moved while it was written, with 1 messages; the recording goes on in a new file"
+    ]
+    recorder.flush()
+    assert len(gone) == 1
+    recorder.hear(stem(2))
+    recorder.close()
+    (second,) = folder.glob("*.mcap")
+    assert [r.sequence for r in read(second)[0]] == [2]
+    assert said[-1].path == f"bus/{second.name}"
+    assert second.name != first.name.removesuffix(".open")
+    if how == "another in its place":
+        assert first.read_bytes() == b"of somebody else"
+
+
+@pytest.mark.parametrize("when", ["flush", "rotation"])
+def test_a_recording_that_is_moved_is_whole_where_it_is_now(tmp_path: Path, when: str) -> None:
+    clock, said, gone = FakeClock(), [], []
+    folder = tmp_path / "bus"
+    recorder = make_recorder(folder, clock, said, gone=gone)
+    recorder.hear(stem(1))
+    recorder.flush()
+    recorder.hear(stem(2))  # waits in memory
+    folder.rename(tmp_path / "aside")
+    if when == "rotation":
+        clock.advance(3601.0)
+        recorder.hear(stem(3))
+    else:
+        recorder.flush()
+        recorder.hear(stem(3))
+    recorder.close()
+    assert len(gone) == 1
+    (moved,) = (tmp_path / "aside").iterdir()
+    recorded, problem = read(moved)
+    assert problem == ""
+    there = [r.sequence for path in (moved, *sorted(folder.iterdir())) for r in read(path)[0]]
+    assert [r.sequence for r in recorded][:2] == [1, 2]
+    assert there == [1, 2, 3]
 
 
 def test_recorder_finishes_left_over_files_but_not_its_own(tmp_path: Path) -> None:

@@ -14,8 +14,12 @@ from typing import Any
 
 import pytest
 
+from flora_bus.main import BusSection
+from flora_common.app import App
+from flora_common.clock import FakeClock
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
+from flora_common.log import SAME_KIND_S, Log
 from flora_common.messages import Health, Tick
 from flora_common.service import _only_one
 
@@ -43,6 +47,13 @@ def build(app):
             raise ZeroDivisionError("a bug")
         if tick.shot == "expected":
             raise CameraGone("no camera at /dev/video7; is it plugged in?")
+        if tick.shot == "trouble":
+            app.trouble("camera", f"no photograph for tick {tick.tick}")
+        if tick.shot == "more_trouble":
+            app.trouble("disk", "no room")
+        if tick.shot == "over":
+            app.trouble("camera", "")
+            app.trouble("disk", "")
         if tick.shot == "well":
             app.state("ready")
 
@@ -193,6 +204,51 @@ def test_an_expected_failure_degrades_and_is_told_and_the_rest_goes_on(bus: Any,
     status, _, err = bus.stop(process)
     assert status == 0
     assert err.count(reason) == 1
+
+
+def test_a_trouble_whose_text_changes_is_told_on_the_bus_each_time_and_in_the_log_once(bus: Any, service: Any) -> None:
+    bus.start_service("flora-bus")
+    process = service()
+    client = bus.client("flora-flash")
+    bus.wait_ready(client, "flora-twin")
+    for tick in range(1, 6):
+        client.publish(Tick(tick=tick, time_s=0.0, shot="trouble"))
+        bus.hear(client, lambda heard, tick=tick: any(says(a, f"no photograph for tick {tick}") for a in heard))
+    client.publish(Tick(tick=6, time_s=0.0, shot="more_trouble"))
+    bus.hear(client, lambda heard: any(says(a, "no photograph for tick 5; no room") for a in heard))
+    client.publish(Tick(tick=7, time_s=0.0, shot="over"))
+    bus.hear(client, lambda heard: any(from_service(a) and a.message.state == "ready" for a in heard))
+    _, _, err = bus.stop(process)
+    told = [line for line in err.splitlines() if "degraded" in line]
+    assert [line.partition("reason=")[2] for line in told] == [
+        "'no photograph for tick 1'",
+        "'no photograph for tick 5; no room'",
+        "'no room'",
+        "",
+    ]
+    assert told[-1].endswith("degraded_solved")
+
+
+def test_a_text_that_was_held_back_is_told_when_its_time_has_come(tmp_path: Path) -> None:
+    now_s, lines = 0.0, []
+    log = Log("flora-twin", lambda *line: lines.append(line[3].get("reason")), now_s=lambda: now_s)
+    rig = RigSection(run_dir=str(tmp_path), bus_publish=f"ipc://{tmp_path}/p", bus_subscribe=f"ipc://{tmp_path}/s")
+    app = App("flora-twin", rig, BusSection(), log=log, clock=FakeClock())
+    try:
+        app.trouble("camera", "tick 1")
+        app.trouble("camera", "tick 2")
+        app._say_health()
+        assert lines == ["tick 1"]
+        now_s = SAME_KIND_S
+        app._say_health()
+        app._say_health()
+        assert lines == ["tick 1", "tick 2"]
+    finally:
+        app.bus.close()
+
+
+def says(arrival: Any, reason: str) -> bool:
+    return from_service(arrival) and arrival.message.reason == reason
 
 
 def test_messages_behind_one_that_fails_are_handled(bus: Any, service: Any) -> None:

@@ -46,7 +46,9 @@ def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[An
         heard.append(msgspec.msgpack.decode(first.recv_multipart()[-1])["op"])
         first.close(linger=0)
         second = router(context, address)
-        heard.extend(answer(second) for _ in range(2))
+        # How often `wait` comes depends on which of the two sockets the link found first when it came back.
+        while heard[-1] != "now":
+            heard.append(answer(second))
         second.close(linger=100)
 
     box = threading.Thread(target=box_that_dies, daemon=True)
@@ -58,7 +60,8 @@ def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[An
     assert link.ask("now")["op"] == "now"
     box.join()
     link.close()
-    assert heard == ["wait", "wait", "now"]
+    assert heard[:2] == ["wait", "wait"]
+    assert set(heard[2:-1]) <= {"wait"}
 
 
 def test_a_box_that_is_silent_is_not_asked_twice(context: zmq.Context[Any], tmp_path: Path) -> None:

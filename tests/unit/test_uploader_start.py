@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import resource
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -11,9 +14,10 @@ from device_fakes import FakeApp
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.messages import Stored
+from flora_uploader import reserve
 from flora_uploader.config import UploaderSection
-from flora_uploader.ledger import FILE_NAME, _lock
-from flora_uploader.main import LEDGER_AGAIN_S, build
+from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, LedgerProblem, _lock
+from flora_uploader.main import LEDGER_AGAIN_S, RESERVE_EVERY_S, build
 
 
 class App(FakeApp):
@@ -67,7 +71,42 @@ def test_the_ledger_is_locked_also_without_room_for_its_holders_number(tmp_path:
     most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, most[1]))  # whatever is written finds no room
     try:
-        with _lock(tmp_path / "lock"), pytest.raises(StoreError, match="works with this ledger already"):
+        first = _lock(tmp_path / "lock")
+        with pytest.raises(StoreError, match=r"works with this ledger already \(pid unknown\)"):
             _lock(tmp_path / "lock")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    os.close(first)
+    os.close(_lock(tmp_path / "lock"))
+
+
+def test_the_service_keeps_a_reserve_and_makes_it_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reserve, "_room_bytes", lambda _: 1 << 30)
+    app = App(tmp_path, tmp_path / "nas")
+    build(app)  # type: ignore[arg-type]
+    assert (app.state_dir / RESERVE_NAME).stat().st_size == reserve.RESERVE_BYTES
+    assert "reserve_given_up" not in app.lines
+    (app.state_dir / RESERVE_NAME).unlink()
+    app.pass_real_s(RESERVE_EVERY_S + 1.0)
+    assert (app.state_dir / RESERVE_NAME).exists()
+    app.leave()
+
+
+def test_a_reserve_that_was_given_up_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = App(tmp_path, tmp_path / "nas")
+    app.state_dir.mkdir()
+    (app.state_dir / RESERVE_NAME).write_bytes(b"\0" * reserve.RESERVE_BYTES)
+    whole, tries = Ledger._open_or_replace, []
+
+    def full_at_first(ledger: Ledger) -> sqlite3.Connection:
+        tries.append(ledger)
+        if len(tries) == 1:
+            raise LedgerProblem("full") from OSError(errno.ENOSPC, "No space left on device")
+        return whole(ledger)
+
+    monkeypatch.setattr(Ledger, "_open_or_replace", full_at_first)
+    build(app)  # type: ignore[arg-type]
+    assert len(tries) == 2
+    assert app.troubles == {}
+    assert "reserve_given_up" in app.lines
+    app.leave()

@@ -91,7 +91,7 @@ class FrameMissed(Message, kw_only=True, frozen=True):
     shot: Annotated[str, Meta(max_length=64)] = ""
 
 
-@message("stem", owner="flora-stem", period="tick")
+@message("stem", owner="flora-stem", period="tick", version=2)
 class Stem(Message, kw_only=True, frozen=True):
     """Ten points along the stem, anchor first, tip last; none where no stem was found."""
 
@@ -104,6 +104,11 @@ class Stem(Message, kw_only=True, frozen=True):
     quality: Annotated[Share, Meta(description="share of the ten heights that the picture itself shows")] = 0.0
     light: Light = "dark"
     method: Annotated[Name, Meta(description="how it was found")] = "paper"
+    folded: Annotated[bool, Meta(description="the stem turns back and passes some heights more than once")] = False
+    uncertainty_mm: Annotated[
+        tuple[Annotated[float, Meta(ge=0.0, le=10_000.0)], ...],
+        Meta(max_length=STEM_POINTS, description="standard deviation of each point; ten or none"),
+    ] = ()
     frame_sha256: OptionalSha256 = ""
     took_ms: Milliseconds = 0.0
     reason: Sentence = ""

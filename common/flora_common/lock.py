@@ -1,0 +1,50 @@
+"""A file that one process holds at a time; the kernel lets go of it however that process ends.
+
+The file is never removed: who removes a lock lets two processes hold one each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+
+
+class AlreadyHeld(Exception):
+    """Another process holds it.
+
+    Attributes:
+        pid: its number as text, or ``unknown``.
+    """
+
+    def __init__(self, pid: str) -> None:
+        super().__init__(f"held by pid {pid}")
+        self.pid = pid
+
+
+def hold(path: Path) -> int:
+    """Hold ``path`` for this process and write its number there, for people and for whoever comes second.
+
+    Returns:
+        The descriptor: the lock ends when it is closed, or with the process.
+
+    Raises:
+        AlreadyHeld: another process was first.
+        OSError: the file cannot be opened or made.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        said = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
+        os.close(descriptor)
+        raise AlreadyHeld(said if said.isdigit() else "unknown") from None
+    except BaseException:
+        os.close(descriptor)
+        raise
+    # On a full disk the lock holds all the same, its holder only stays nameless: the plant needs its lamps.
+    with contextlib.suppress(OSError):
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    return descriptor

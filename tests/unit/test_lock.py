@@ -1,0 +1,52 @@
+"""A lock file: one holder, named, and gone with its process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from flora_common.lock import AlreadyHeld, hold
+
+
+def test_one_holder_at_a_time_and_the_second_is_told_whose_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    path.write_text("999999999 and what an older holder had to say\n")
+    first = hold(path)
+    assert path.read_text() == f"{os.getpid()}\n"
+    with pytest.raises(AlreadyHeld) as by:
+        hold(path)
+    assert by.value.pid == str(os.getpid())
+    os.close(first)
+    os.close(hold(path))
+
+
+def test_what_is_no_number_is_not_repeated(tmp_path: Path) -> None:
+    held = hold(tmp_path / "lock")
+    (tmp_path / "lock").write_bytes(b"\x1b[2J\xff")
+    with pytest.raises(AlreadyHeld, match="unknown"):
+        hold(tmp_path / "lock")
+    os.close(held)
+
+
+def test_a_killed_holder_holds_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    code = f"import sys; from pathlib import Path; from flora_common.lock import hold; hold(Path({str(path)!r}))\n"
+    code += "print('held', flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(AlreadyHeld, match=str(holder.pid)):
+            hold(path)
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+    os.close(hold(path))
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        hold(tmp_path / "none" / "lock")
