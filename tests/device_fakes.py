@@ -32,6 +32,29 @@ def tiny_jpeg(level: int = 120) -> bytes:
     return cv2.imencode(".jpg", np.full((48, 64, 3), level, np.uint8))[1].tobytes()
 
 
+def grey_film(path: Path, pictures: int) -> Path:
+    """A film of so many grey pictures of 64 x 48 px, each brighter than the one before."""
+    import cv2
+    import numpy as np
+
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    for number in range(pictures):
+        writer.write(np.full((48, 64, 3), 50 + 60 * number, np.uint8))
+    writer.release()
+    return path
+
+
+def grey_run(path: Path, pictures: int) -> Path:
+    """A run folder with the same pictures, 300 s apart, under the left lamp."""
+    run = RunFolder(path)
+    run.frames.mkdir(parents=True)
+    for number in range(pictures):
+        name = f"frames/{number}.jpg"
+        (path / name).write_bytes(tiny_jpeg(50 + 60 * number))
+        run.append_frame(name, 300.0 * number, "left")
+    return path
+
+
 GOOD_METADATA = {
     "ExposureTime": 20_000,
     "AnalogueGain": 1.0,
@@ -80,6 +103,13 @@ class FakeApp:
         timer = Timer(call)
         heapq.heappush(self._timers, (self._real_s + real_s, next(self._order), timer))
         return timer
+
+    def every(self, real_s: float, call: Callable[[], object]) -> None:
+        def again() -> None:
+            self.after(real_s, again)
+            call()
+
+        self.after(real_s, again)
 
     def on_ready(self, call: Callable[[], None]) -> None:
         self._ready_calls.append(call)

@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from flora_capture.backends import Camera
+from flora_capture.backends import Camera, FilmEnded
 from flora_capture.wire import Answer, CameraSettings, Problem, Request, pack, read
 from flora_common.errors import BadPicture, CameraTimeout, FloraError
 
@@ -36,6 +36,8 @@ def problem_of(error: FloraError) -> Problem:
     """The word for an error."""
     if isinstance(error, CameraTimeout):
         return "camera_hung"
+    if isinstance(error, FilmEnded):
+        return "film_ended"
     return "bad_picture" if isinstance(error, BadPicture) else "camera_gone"
 
 

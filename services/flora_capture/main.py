@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flora_capture.service import CaptureSection, CaptureService
+from flora_capture.source import check_source
 from flora_capture.store import Store
 from flora_common.app import App
 from flora_common.service import run_service
@@ -12,6 +13,7 @@ from flora_common.service import run_service
 
 def build(app: App[CaptureSection]) -> None:
     camera = app.run.read_run_file().camera
+    check_source(app.config.backend, app.config.source)
     CaptureService(app, Store(app.run), app.config.settings(camera, app.rig.clock.twin))
 
 

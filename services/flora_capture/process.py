@@ -57,6 +57,7 @@ class CameraProcess:
         self._assembler = Assembler()
         self._wait_s = SHORTEST_WAIT_S
         self._is_waiting = False
+        self._is_over = False
 
     @property
     def pid(self) -> int | None:
@@ -64,9 +65,9 @@ class CameraProcess:
         return self._child.pid if self._child else None
 
     def start(self) -> None:
-        """Start a child unless there is one."""
+        """Start a child unless there is one, or is to be none any more."""
         self._is_waiting = False
-        if self._child is not None:
+        if self._child is not None or self._is_over:
             return
         self._ended = [child for child in self._ended if child.poll() is None]
         self._assembler = Assembler()
@@ -96,15 +97,19 @@ class CameraProcess:
         # Not waited for: a process stuck in the camera driver ends when the kernel lets it.
         if child.poll() is None:
             self._ended.append(child)
-        if not self._is_waiting:
+        if not self._is_waiting and not self._is_over:
             self._is_waiting = True
             self._loop.after(self._wait_s, self._start_if_waiting)
             self._wait_s = min(LONGEST_WAIT_S, 2 * self._wait_s)
 
-    def close(self) -> None:
-        """End the child for good."""
-        self._is_waiting = True  # so that no new one is arranged
+    def retire(self) -> None:
+        """End the child; there is no use for another one."""
+        self._is_over = True
         self.kill()
+
+    def close(self) -> None:
+        """End the child for good, and wait until it has ended."""
+        self.retire()
         for child in self._ended:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(END_WAIT_S)

@@ -80,6 +80,8 @@ class CaptureService:
         self._said: Frame | FrameMissed | None = None
         self._ready = False
         self._deadline: Timer | None = None
+        self._ended = ""
+        self._is_missing = False
         self._camera = CameraProcess(app, settings, on_answer=self._answered, on_gone=self._camera_gone)
         app.on(Frame, lambda _: None)  # our own last words, kept by the bus: what was announced before a restart
         app.on(FrameMissed, lambda _: None)
@@ -127,6 +129,9 @@ class CaptureService:
         if shot is None:
             return
         flash = shot.flash
+        if self._ended:
+            self._miss(flash, "camera_gone", self._ended)
+            return
         try:
             name = self._store.name_for(flash.tick, flash.purpose, flash.shot)
         except (OSError, StoreError) as problem:
@@ -155,7 +160,14 @@ class CaptureService:
 
     def _answered(self, answer: Answer) -> None:
         shot = self._sequence.shot
-        if answer.problem and answer.problem != "bad_picture":
+        if answer.problem == "film_ended":
+            # No new camera process would find more: this is how things are from now on, and each tick is told so.
+            self._ended = answer.reason
+            self._camera.retire()
+            self._app.trouble("disk", "")
+            if shot is not None:
+                self._miss(shot.flash, "camera_gone", answer.reason)
+        elif answer.problem and answer.problem != "bad_picture":
             self._camera.kill()
             if shot is not None:
                 self._miss(shot.flash, answer.problem, answer.reason)
@@ -163,7 +175,7 @@ class CaptureService:
                 self._app.trouble("camera", answer.reason)
         elif answer.number == 0:
             self._app.log.event("camera_open", pid=self._camera.pid)
-            if shot is None:
+            if shot is None and not self._is_missing:
                 self._app.trouble("camera", "")
         elif shot is not None and shot.flash.tick == answer.number:
             try:
@@ -216,10 +228,12 @@ class CaptureService:
             return
         self._complete_csv()
         if note:
-            self._app.log.problem("exposure", note, tick=flash.tick)
+            self._app.log.problem("exposure", note, kind="exposure", tick=flash.tick)
         else:
             self._app.log.solved("exposure")
+        self._is_missing = False
         self._app.trouble("camera", "")
+        self._app.trouble("disk", "")
         self._app.log.debug("frame_saved", tick=flash.tick, file=record.file, bytes=record.bytes)
         self._say(record.message(self._store.run_name))
 
@@ -233,7 +247,10 @@ class CaptureService:
     # the word
 
     def _miss(self, flash: Flash, because: MissedBecause, reason: str) -> None:
-        self._app.trouble("camera", f"no photograph for tick {flash.tick}: {reason}")
+        # A camera that opens and gives no picture is not well again each time that it is opened.
+        self._is_missing = True
+        key = "disk" if because in ("disk_full", "not_written") else "camera"
+        self._app.trouble(key, self._ended or f"no photograph for tick {flash.tick}: {reason}")
         self._say(
             FrameMissed(
                 tick=flash.tick,

@@ -13,7 +13,7 @@ PREFIX: Final = struct.Struct(">I")
 MAX_BYTES: Final = 64 << 20
 """A longer message is a broken child: the largest sensor of a Pi makes JPEGs of about 10 MB."""
 
-Problem = Literal["", "camera_hung", "camera_gone", "bad_picture"]
+Problem = Literal["", "camera_hung", "camera_gone", "bad_picture", "film_ended"]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e8)]
 ColourGain = Annotated[float, msgspec.Meta(ge=0.0, le=32.0)]
 

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from device_fakes import GOOD_METADATA, fake_box, tiny_jpeg
+from device_fakes import GOOD_METADATA, fake_box, grey_film, grey_run
 from flora_capture.core import exposure_of
 from flora_capture.wire import Answer, CameraSettings, Request, pack, read
 from flora_common.runs import RunFolder
@@ -63,23 +63,11 @@ class Child:
 
 
 def film(path: Path) -> Path:
-    import cv2
-    import numpy as np
-
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
-    for number in range(PICTURES):
-        writer.write(np.full((48, 64, 3), 50 + 60 * number, np.uint8))
-    writer.release()
-    return path
+    return grey_film(path, PICTURES)
 
 
 def old_run(path: Path) -> Path:
-    run = RunFolder(path)
-    run.frames.mkdir(parents=True)
-    for number in range(PICTURES):
-        name = f"frames/{number}.jpg"
-        (path / name).write_bytes(tiny_jpeg(50 + 60 * number))
-        run.append_frame(name, 300.0 * number, "left")
+    run = RunFolder(grey_run(path, PICTURES))
     line = {"file": "frames/0.jpg", "metadata": GOOD_METADATA}
     run.frames_log.write_bytes(msgspec.json.encode(line) + b"\n" + b'{"file": "frames/1.jpg", "meta')
     return path
@@ -125,9 +113,22 @@ def test_pictures_come_in_order_and_their_end_is_told(
     for index in (0, 1, 2, 1):
         picture = cv2.imdecode(np.frombuffer(child.shoot(1, index).jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert picture.mean() == pytest.approx(50 + 60 * index, abs=4)
-    answer = child.shoot(1, PICTURES)
-    assert answer.problem == "camera_gone"
-    assert "all 3 photographs" in answer.reason or "the film ends" in answer.reason
+    for index in (PICTURES, PICTURES + 7, PICTURES):
+        answer = child.shoot(1, index)
+        assert answer.problem == "film_ended"
+        assert answer.reason.endswith(" has ended after 3 pictures")
+    assert child.shoot(1, 0).problem == ""
+    assert child.end() == 0
+
+
+@pytest.mark.parametrize(("backend", "make"), [("replay", old_run), ("opencv", film)])
+@pytest.mark.parametrize("index", [PICTURES, PICTURES + 7])
+def test_a_camera_process_that_starts_behind_the_end_says_so(
+    tmp_path: Path, backend: str, make: Callable[[Path], Path], index: int
+) -> None:
+    child = Child(backend=backend, source=str(make(tmp_path / "old.avi")))
+    answer = child.shoot(1, index)
+    assert (answer.problem, answer.reason.endswith(" has ended after 3 pictures")) == ("film_ended", True)
     assert child.end() == 0
 
 

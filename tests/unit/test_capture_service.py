@@ -42,6 +42,7 @@ while (payload := read(sys.stdin.buffer)) is not None:
     if what == "hang": signal.pause()
     if what == "die": sys.exit(3)
     if what == "nonsense": out.write(b"Hello, world!!!!"); out.flush(); signal.pause()
+    if what == "ended": say(Answer(number, "film_ended", "old.avi: the film has ended after 3 pictures")); continue
     if what == "gone": say(Answer(number, "camera_gone", "cable pulled")); continue
     jpeg = (folder / "jpeg").read_bytes()
     if what == "torn" or what == "torn_once" and (folder / "asked").stat().st_size % 2 == 1: jpeg = jpeg[:-200]
@@ -237,6 +238,85 @@ def test_a_camera_that_is_lost_is_told_at_once_and_comes_back(rig: Rig, what: st
     until(app, lambda: rig.count("starts") == 2)
     app.hear(lit(2))
     assert isinstance(announced(app, 2), Frame)
+
+
+def test_the_end_of_a_film_is_told_once_and_lasts(rig: Rig) -> None:
+    reason = "old.avi: the film has ended after 3 pictures"
+    app = rig.start()
+    rig.camera("ended")
+    changes = watched(app)
+    for tick in range(1, 6):
+        app.hear(lit(tick))
+        missed = announced(app, tick)
+        assert (missed.because, missed.reason) == ("camera_gone", reason)
+        app.pass_real_s(300.0)
+    assert changes == [("camera", reason)] * 5  # the same words: told by the first, and never withdrawn
+    assert app.troubles == {"camera": reason}
+    assert (rig.count("starts"), rig.count("asked")) == (1, 1)
+    assert app.readable == {}  # no camera process is kept for nothing
+    assert app.lines.count("camera_open") == 1
+
+
+def watched(app: FakeApp) -> list[tuple[str, str]]:
+    """From now on, what the service says of the camera: (key, reason)."""
+    changes: list[tuple[str, str]] = []
+    tell = app.trouble
+
+    def trouble(key: str, reason: str) -> None:
+        if key == "camera":
+            changes.append((key, reason))
+        tell(key, reason)
+
+    app.trouble = trouble  # type: ignore[method-assign]
+    return changes
+
+
+def test_a_start_again_after_the_end_of_the_film_tells_it_again(rig: Rig) -> None:
+    rig.camera("ended")
+    for tick in (1, 2):
+        app = rig.start()
+        app.hear(lit(tick))
+        assert announced(app, tick).reason.endswith("has ended after 3 pictures")
+        app.leave()
+        assert app.readable == {}
+
+
+def test_a_camera_that_opens_and_gives_no_picture_is_not_well_between_ticks(rig: Rig) -> None:
+    app = rig.start()
+    rig.camera("gone")
+    changes = watched(app)
+    for tick in (1, 2, 3):
+        app.hear(lit(tick))
+        assert announced(app, tick).because == "camera_gone"
+        starts = rig.count("starts")
+        app.pass_real_s(61.0)
+        until(app, lambda starts=starts: rig.count("starts") > starts)  # type: ignore[misc]
+        until(app, lambda tick=tick: app.lines.count("camera_open") > tick)  # type: ignore[misc]
+    assert all(reason for _, reason in changes)
+    rig.camera("fine")
+    app.hear(lit(4))
+    assert isinstance(announced(app, 4), Frame)
+    assert app.troubles == {}
+
+
+def test_a_full_disk_and_a_lost_camera_are_two_troubles(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise DiskFull("full")
+
+    app = rig.start()
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "write_bytes", refuse)
+        app.hear(lit(1))
+        announced(app, 1)
+    assert set(app.troubles) == {"disk"}
+    rig.camera("gone")
+    app.hear(lit(2))
+    announced(app, 2)
+    assert set(app.troubles) == {"disk", "camera"}
+    rig.camera("fine")
+    app.hear(lit(3))
+    announced(app, 3)
+    assert app.troubles == {}
 
 
 def test_a_camera_process_killed_while_idle_is_started_again(rig: Rig) -> None:

@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from flora_capture.wire import Request
+from flora_common.errors import CameraGone
+
+
+class FilmEnded(CameraGone):
+    """What stands in a camera's place has no further picture, and never will."""
 
 
 class Camera(Protocol):
@@ -19,7 +24,8 @@ class Camera(Protocol):
 
         Raises:
             CameraTimeout: no picture in time.
-            CameraGone: no camera any more, or no further picture.
+            CameraGone: no camera any more.
+            FilmEnded: no further picture of a film or an old run.
             BadPicture: a picture that cannot be used.
         """
         ...

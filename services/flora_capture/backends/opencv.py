@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +12,8 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2
 
+from flora_capture.backends import FilmEnded
+from flora_capture.source import device_number
 from flora_capture.wire import CameraSettings, Request
 from flora_common.errors import BadPicture, CameraGone
 
@@ -28,16 +29,16 @@ class OpenCvCamera:
     def __init__(self, settings: CameraSettings) -> None:
         self._name = settings.source
         self._quality = settings.jpeg_quality
-        device = re.fullmatch(r"(?:/dev/video)?(\d+)", settings.source)
+        device = device_number(settings.source)
         self._is_device = device is not None
         if device is None:
             if not Path(settings.source).is_file():
                 raise CameraGone(f"{settings.source}: no such video file")
             self._capture = cv2.VideoCapture(settings.source)
         else:
-            self._capture = cv2.VideoCapture(int(device[1]), cv2.CAP_V4L2)
+            self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._capture.isOpened():
-            what = "no such camera, or it is in use" if device else "not a video that OpenCV can read"
+            what = "no such camera, or it is in use" if self._is_device else "not a video that OpenCV can read"
             raise CameraGone(f"{settings.source}: {what}")
         if self._is_device:
             self._lock(settings)
@@ -61,12 +62,18 @@ class OpenCvCamera:
             self._capture.set(cv2.CAP_PROP_POS_FRAMES, request.index)
         is_read, picture = self._capture.read()
         if not is_read or picture is None:
-            what = "the camera gives no picture" if self._is_device else f"the film ends before picture {request.index}"
-            raise CameraGone(f"{self._name}: {what}")
+            if self._is_device:
+                raise CameraGone(f"{self._name}: the camera gives no picture")
+            raise FilmEnded(f"{self._name}: the film has ended after {self._length(request.index)} pictures")
         is_packed, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
         if not is_packed:
             raise BadPicture(f"{self._name}: the picture cannot be written as JPEG")
         return jpeg.tobytes(), self._metadata()
+
+    def _length(self, missing: int) -> int:
+        """Pictures of the film, where ``missing`` (from 0) is one that it has not; containers tell but an estimate."""
+        told = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        return min(told, missing) if told > 0 else missing
 
     def _metadata(self) -> dict[str, Any]:
         exposure = float(self._capture.get(cv2.CAP_PROP_EXPOSURE)) if self._is_device else 0.0

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from flora_capture.backends import FilmEnded
+from flora_capture.source import pictures_of
 from flora_capture.wire import CameraSettings, Request
 from flora_common.errors import BadPicture, BadRunFolder, CameraGone
 from flora_common.runs import RunFolder
@@ -18,7 +20,7 @@ class ReplayCamera:
     def __init__(self, settings: CameraSettings) -> None:
         run = RunFolder(Path(settings.source))
         try:
-            self._files = [run.path / row.file for row in run.read_frames()]
+            self._files = pictures_of(run)
         except BadRunFolder as problem:
             raise CameraGone(f"nothing to replay: {problem}") from problem
         self._run = run
@@ -26,7 +28,7 @@ class ReplayCamera:
 
     def shoot(self, request: Request) -> tuple[bytes, dict[str, Any]]:
         if request.index >= len(self._files):
-            raise CameraGone(f"{self._run.path}: all {len(self._files)} photographs have been replayed")
+            raise FilmEnded(f"{self._run.path}: the run has ended after {len(self._files)} pictures")
         file = self._files[request.index]
         try:
             jpeg = file.read_bytes()
