@@ -75,6 +75,22 @@ class PlantParameters:
     """Direction of the first primary leaf round the stem, from +x towards the camera. Individual."""
     leaf_hue: float = 0.0
     """Colour, from yellowish (-1) to bluish green (1). Individual."""
+    leaf_droop_rad: float = 0.35
+    """How far grown blades hang below their petiole's end, at noon of the plant's own day. Estimate, individual."""
+    leaf_sleep_rad: float = 0.25
+    """Amplitude of the blades' daily rise and fall. Bean leaves sink at night; amplitude an estimate."""
+    leaf_turn_rad: float = 0.35
+    """Turn of the trifoliate leaf from the right angle to the primary pair. Individual."""
+    leaf_gloss: float = 0.05
+    """Share of light that the blades mirror. Estimate."""
+    petiole_radius_cm: float = 0.085
+    """Estimate: about as thick as the stem's upper end."""
+    bud_scale: float = 1.0
+    """Size of the folded leaflets round the tip. Estimate."""
+    stem_red: float = 0.2
+    """Anthocyanin at the stem's foot, from green (0) to reddish brown (1). Individual."""
+    irregularity: float = 0.0
+    """A whole number that fixes small differences of shape and colour between the leaves of one plant. Individual."""
 
     def with_values(self, **changes: float) -> PlantParameters:
         """The same plant with some constants changed.
@@ -132,7 +148,7 @@ def draw_individual(seed: int, mean: PlantParameters | None = None) -> PlantPara
 
     Returns:
         Rates log-normal about the mean (:data:`SPREAD`), the nutation period normal within its measured range, phases
-        and the leaves' direction uniform.
+        and the leaves' direction uniform; looks of stem and leaves mostly uniform within ranges of their own.
     """
     base = PlantParameters() if mean is None else mean
     rng = np.random.default_rng([seed, 1])
@@ -152,4 +168,13 @@ def draw_individual(seed: int, mean: PlantParameters | None = None) -> PlantPara
     values["growth_rhythm_phase_rad"] = float(rng.uniform(0.0, 2 * np.pi))
     values["leaf_azimuth_rad"] = float(rng.uniform(0.0, 2 * np.pi))
     values["leaf_hue"] = float(rng.uniform(-1.0, 1.0))
+    # Looks are drawn last, so that growth and motion of a seed stay what they were before looks were drawn.
+    values["leaf_droop_rad"] = float(rng.uniform(0.10, 0.75))
+    values["leaf_sleep_rad"] = float(rng.uniform(0.10, 0.40))
+    values["leaf_turn_rad"] = float(rng.uniform(-0.7, 0.7))
+    values["leaf_gloss"] = float(rng.uniform(0.01, 0.09))
+    values["petiole_radius_cm"] = float(base.petiole_radius_cm * np.exp(0.12 * rng.standard_normal()))
+    values["bud_scale"] = float(rng.uniform(0.75, 1.35))
+    values["stem_red"] = float(rng.uniform(0.0, 1.0) ** 2)
+    values["irregularity"] = float(rng.integers(0, 2**20))
     return PlantParameters(**values)

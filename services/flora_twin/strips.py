@@ -46,7 +46,6 @@ class LampLight:
 
 OFF: Final = LampLight()
 DARK: Final = (OFF, OFF)
-FULL_WHITE: Final = LampLight(1.0, 1.0, 1.0)
 
 
 def read_strips(grb: bytes) -> tuple[LampLight, LampLight]:

@@ -26,11 +26,12 @@ from flora_common.errors import BadInput
 from flora_twin.faults import MENU, OPERATIONS
 from flora_twin.main import main
 from flora_twin.server import CHECKPOINT, TRUTH, WorldServer, only_one, parse_start
-from flora_twin.strips import FULL_WHITE, OFF, STRIP_BYTES, strip_bytes
+from flora_twin.strips import OFF, STRIP_BYTES, LampLight, strip_bytes
 from flora_twin.world import World
 
 START_NS = 1_772_352_000_000_000_000
 SHUTTER = {"op": "shutter", "exposure_us": 20_000, "analogue_gain": 1.0, "colour_gains": [1.9, 1.6]}
+FULL_WHITE = LampLight(1.0, 1.0, 1.0)
 RIGHT = strip_bytes(OFF, FULL_WHITE)
 
 

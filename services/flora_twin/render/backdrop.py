@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -10,14 +11,46 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_twin.box import Box, PinholeCamera
-from flora_twin.render import lighting
-from flora_twin.render.surfaces import FLOOR, LAMP, POT, SOIL, Float32, Surfaces, see_box
+from flora_twin.render import lighting, optics
+from flora_twin.render.sensor import COLOUR_MATRIX
+from flora_twin.render.surfaces import FLOOR, HOLDER, LAMP, LINER, POT, SOIL, WALL, Float32, Surfaces, see_box
 from flora_twin.strips import OFF, LampLight
 
-LENS_BLUR_PX: Final = 0.75
 _KEPT: Final = 4
 _EMISSION: Final = 14.0
 _SATURATED: Final = 6.0
+_LINER_WRAP: Final = 0.30
+_SHADING_RIM_CM: Final = 1.6
+"""Mean height above the soil of what the pot and its cloth hold against the lamps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Pixels from which the plant can keep a light.
+
+    Attributes:
+        window: rows and columns.
+        ray_cm: where the light's ray to the pixel passes the plane y = 0, x and z, shape (h, w, 2): what stands in
+            that ray shadows the pixel. Far away where the plant casts no shadow.
+        light: the light there is to lose, shape (h, w, 3).
+    """
+
+    window: tuple[slice, slice]
+    ray_cm: Float32
+    light: Float32
+
+    @staticmethod
+    def of(
+        surfaces: Surfaces, part: npt.NDArray[np.bool_], light_cm: npt.NDArray[np.float64], light: Float32
+    ) -> Ground:
+        """The pixels of a part of the picture, and what a light at a place gives them."""
+        rows, columns = np.nonzero(part.any(axis=1))[0], np.nonzero(part.any(axis=0))[0]
+        window = (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1))
+        place = surfaces.place_cm[window]
+        stretch = light_cm[1] / (light_cm[1] - place[..., 1])
+        ray = light_cm[[0, 2]] + (place[..., [0, 2]] - light_cm[[0, 2]]) * stretch[..., None]
+        ray[~part[window]] = 1e4
+        return Ground(window, np.ascontiguousarray(ray, dtype=np.float32), np.ascontiguousarray(light[window]))
 
 
 class Backdrop:
@@ -26,18 +59,28 @@ class Backdrop:
     Attributes:
         flash: shape (height, width, 3), the box under the flash alone.
         vignette: shape (height, width), fall of brightness towards the corners.
-        shadow_map: for the ground window, the place (x, z) in cm on the plane y = 0 where the flash's ray to the pixel
-            passes, shape (h, w, 2): what stands in that ray shadows the pixel.
-        window: rows and columns of the ground window.
+        lamp_share: light of the left and the right lamp relative to normal, shape (2,).
+        flash_bgr: the flash's colour, shape (3,).
+        front: edge of the pot that hides the stem's foot.
+        ground: where the flash's light can be kept off the ground.
+        soil: the same for the left and the right lamp, in sensor colours for white lamps.
     """
 
     def __init__(self, camera: PinholeCamera, box: Box, seed: int) -> None:
+        self.camera = camera
         surfaces = see_box(camera, box, seed)
-        self.vignette = _vignette(camera)
-        self.flash = self._finish(_flash_light(surfaces, box))
+        self.front = surfaces.front
+        self.lamp_share = surfaces.decor.lamp_share
+        self.flash_bgr = surfaces.decor.flash_bgr
+        self.vignette = optics.vignette(camera)
+        flash = self._finish(_flash_light(surfaces, box))
+        self.flash = np.asarray(cv2.transform(flash, COLOUR_MATRIX), dtype=np.float32)
         self._lamps = [self._finish(_lamp_light(surfaces, box, i), glare=surfaces.glow[i]) for i in range(2)]
         self.leak = self._finish(surfaces.albedo * np.float32(lighting.LEAK))
-        self.window, self.shadow_map = _shadow_map(surfaces, box)
+        low = np.isin(surfaces.kind, (FLOOR, SOIL, POT, LINER)) & (np.abs(surfaces.place_cm[..., 0]) < 24.0)
+        self.ground = Ground.of(surfaces, low, box.flash_cm, self.flash)
+        inside = np.isin(surfaces.kind, (SOIL, LINER)) & (surfaces.place_cm[..., 2] < 0.9 * box.pot_top_radius_cm)
+        self.soil = [Ground.of(surfaces, inside, box.lamps_cm[i], self._lamps[i]) for i in range(2)]
         self._ready: OrderedDict[tuple[LampLight, LampLight], Float32] = OrderedDict()
 
     def lamps(self, left: LampLight, right: LampLight) -> Float32:
@@ -50,6 +93,7 @@ class Backdrop:
         for lamp, unit in zip(key, self._lamps, strict=True):
             if lamp != OFF:
                 total += unit * lighting.lamp_bgr(lamp)
+        total = np.asarray(cv2.transform(total, COLOUR_MATRIX), dtype=np.float32)
         np.minimum(total, _SATURATED, out=total)
         self._ready[key] = total
         if len(self._ready) > _KEPT:
@@ -61,25 +105,27 @@ class Backdrop:
         if glare is not None:
             light = light + (_EMISSION * glare)[..., None]
             small = cv2.resize(glare, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
-            wide = 0.60 * cv2.GaussianBlur(small, (0, 0), 4.0) + 0.22 * cv2.GaussianBlur(small, (0, 0), 26.0)
+            wide = 4.5 * cv2.GaussianBlur(small, (0, 0), 6.0) + 0.6 * cv2.GaussianBlur(small, (0, 0), 26.0)
             light += cv2.resize(wide, (light.shape[1], light.shape[0]), interpolation=cv2.INTER_LINEAR)[..., None]
-        blurred = cv2.GaussianBlur(np.asarray(light, np.float32), (0, 0), LENS_BLUR_PX)
+        blurred = optics.whole_picture(np.asarray(light, np.float32), self.camera)
         return np.ascontiguousarray(blurred * self.vignette[..., None], dtype=np.float32)
-
-
-def _vignette(camera: PinholeCamera) -> Float32:
-    ray = camera.rays()
-    r2 = ray[..., 0] ** 2 + ray[..., 1] ** 2
-    return np.asarray(1.0 / (1.0 + 0.85 * r2), dtype=np.float32)
 
 
 def _facing(surfaces: Surfaces, towards: Float32) -> Float32:
     return np.asarray(np.maximum(np.einsum("...i,...i->...", surfaces.normal, towards), 0.0), dtype=np.float32)
 
 
+def _past_edge(surfaces: Surfaces, towards: Float32, wrap: float) -> Float32:
+    """The cosine of a surface that sees a wide light past its edge too."""
+    cosine = np.einsum("...i,...i->...", surfaces.normal, towards)
+    return np.asarray(np.maximum(cosine + wrap, 0.0) / (1.0 + wrap), dtype=np.float32)
+
+
 def _flash_light(s: Surfaces, box: Box) -> Float32:
     level, towards = lighting.flash_at(s.place_cm, box)
     direct = level * _facing(s, towards)
+    liner = s.kind == LINER
+    direct[liner] = (level * _past_edge(s, towards, _LINER_WRAP))[liner]
     # The pot's rim keeps the flash from the floor round the pot and from the pot's own side.
     floor = s.kind == FLOOR
     drop = (box.flash_cm[1] - box.rim_above_soil_cm) / (box.flash_cm[1] - s.place_cm[..., 1])
@@ -93,41 +139,36 @@ def _flash_light(s: Surfaces, box: Box) -> Float32:
     bounce[floor] *= (1.0 - 0.55 * near_pot)[floor]
     side = s.kind == POT
     bounce[side] *= (0.75 + 0.25 * s.normal[..., 2])[side]
-    total: Float32 = s.albedo * (direct + bounce)[..., None] * lighting.FLASH_BGR
+    total: Float32 = s.albedo * (direct + bounce)[..., None] * s.decor.flash_bgr.astype(np.float32)
     return total
 
 
 def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32:
     level, towards = lighting.lamp_at(s.place_cm, which, box)
+    level *= np.float32(s.decor.lamp_share[which])
     direct = level * _facing(s, towards)
-    direct[s.kind == LAMP] = 0.0
+    direct[(s.kind == LAMP) | (s.kind == HOLDER)] = 0.0
+    liner = s.kind == LINER
+    direct[liner] = (level * _past_edge(s, towards, _LINER_WRAP))[liner]
+    wall = s.kind == WALL
+    direct[wall] = (level * _past_edge(s, towards, lighting.LAMP_WRAP))[wall]
     low = (s.kind == FLOOR) | (s.kind == SOIL)
     direct[low] *= _pot_shadow(s.place_cm, box.lamps_cm[which], box)[low]
-    total: Float32 = s.albedo * (direct + lighting.LAMP_BOUNCE * lighting.LAMP_LEVEL)[..., None]
+    total: Float32 = (
+        s.albedo * (direct + lighting.LAMP_BOUNCE * lighting.LAMP_LEVEL * s.decor.lamp_share[which])[..., None]
+    )
     return total
 
 
 def _pot_shadow(place_cm: Float32, lamp_cm: npt.NDArray[np.float64], box: Box) -> Float32:
     """1 where the lamp is seen, 0 where the pot stands between; soft because the lamp is wide."""
     step = lamp_cm - place_cm
-    end = np.clip((box.rim_above_soil_cm - place_cm[..., 1]) / step[..., 1], 0.0, 1.0)
+    end = np.clip((_SHADING_RIM_CM - place_cm[..., 1]) / step[..., 1], 0.0, 1.0)
     along = -(place_cm[..., 0] * step[..., 0] + place_cm[..., 2] * step[..., 2])
     t = np.clip(along / (step[..., 0] ** 2 + step[..., 2] ** 2), 0.0, end)
     distance = np.hypot(place_cm[..., 0] + t * step[..., 0], place_cm[..., 2] + t * step[..., 2])
     seen = np.where(end > 0.02, _smooth(distance, box.pot_top_radius_cm - 1.0, box.pot_top_radius_cm + 0.8), 1.0)
     return np.asarray(seen, dtype=np.float32)
-
-
-def _shadow_map(s: Surfaces, box: Box) -> tuple[tuple[slice, slice], Float32]:
-    ground = (s.kind == FLOOR) | (s.kind == SOIL) | (s.kind == POT)
-    ground &= np.abs(s.place_cm[..., 0]) < 24.0
-    rows, columns = np.nonzero(ground.any(axis=1))[0], np.nonzero(ground.any(axis=0))[0]
-    window = (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1))
-    place = s.place_cm[window]
-    shrink = box.flash_cm[1] / (box.flash_cm[1] - place[..., 1])
-    out = np.stack([place[..., 0] * shrink, place[..., 2] * shrink], axis=-1)
-    out[~ground[window]] = 1e4
-    return window, np.ascontiguousarray(out, dtype=np.float32)
 
 
 def _smooth(value: npt.NDArray[np.floating], low: float, high: float) -> Float32:

@@ -12,23 +12,25 @@ from flora_twin.strips import LampLight
 
 Float32 = npt.NDArray[np.float32]
 
-FLASH_LEVEL: Final = 1.30
+FLASH_LEVEL: Final = 1.15
 """Light of the flash on a white surface at the anchor that faces it. Estimate: a household bulb at 20 ms."""
-FLASH_BGR: Final = np.array([0.90, 1.0, 1.06], np.float32)
-FLASH_BOUNCE: Final = 0.26
+FLASH_RADIUS_CM: Final = 6.0
+FLASH_BOUNCE: Final = 0.30
 """Share of the flash that comes back from the box's walls from all sides. Estimate."""
-LAMP_LEVEL: Final = 0.26
+LAMP_LEVEL: Final = 0.95
 """Light of one full white lamp on a white surface at the anchor that faces it. Estimate."""
-LAMP_BOUNCE: Final = 0.10
+LAMP_BOUNCE: Final = 0.07
+LAMP_WRAP: Final = 0.06
+"""How far past its edge a surface still sees the lamp, which is wide: share of the cosine."""
 LEAK: Final = 0.004
 """Daylight that leaks into the box. Estimate."""
 
-_PRIMARIES: Final = np.array([[0.02, 0.12, 1.00], [0.06, 0.85, 0.22], [1.00, 0.10, 0.02]])
+_PRIMARIES: Final = np.array([[0.02, 0.13, 1.20], [0.06, 0.85, 0.22], [0.74, 0.09, 0.02]])
 """Rows blue, green, red of the sensor; columns red, green, blue of the strip (630, 530, 475 nm). Estimate."""
 
 
 def lamp_bgr(lamp: LampLight) -> Float32:
-    """What the sensor sees of one lamp's colour: about 1 in every channel for full white."""
+    """What the sensor sees of one lamp's colour: about 1 for full white, which looks bluish beside the warm flash."""
     return np.asarray(_PRIMARIES @ lamp.rgb, dtype=np.float32)
 
 

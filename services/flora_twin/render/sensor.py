@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from flora_twin.render.surfaces import Float32
 
-JPEG_QUALITY: Final = 90
+JPEG_QUALITIES: Final = (85, 93)
+"""Range of the JPEG quality, one for each box; Pi cameras are run at 85 to 93."""
 REFERENCE_EXPOSURE_US: Final = 20_000.0
 REFERENCE_COLOUR_GAINS: Final = (1.9, 1.6)
 """Red and blue gain at which a grey card under the flash is grey, nearly."""
@@ -20,6 +21,14 @@ LINE_US: Final = 18.904
 SHOT_NOISE: Final = 1.5
 """Standard deviation in 8-bit steps at gain 1 in full light. Estimate."""
 READ_NOISE: Final = 0.9
+_SATURATION: Final = 1.24
+_LUMA_BGR: Final = np.array([0.15, 0.55, 0.30])
+COLOUR_MATRIX: Final = np.asarray(_SATURATION * np.eye(3) + (1.0 - _SATURATION) * _LUMA_BGR, dtype=np.float32)
+"""From sensor colours to picture colours, rows and columns blue, green, red; grey stays grey.
+
+Cameras amplify what tells colours apart, since the sensor's filters overlap. Estimate after photographs. It is linear:
+the pictures of single lights go through it once, when they are made.
+"""
 _POOL_MARGIN: Final = 256
 
 
@@ -52,6 +61,7 @@ class Sensor:
 
     def __init__(self, width_px: int, height_px: int, seed: int) -> None:
         rng = np.random.default_rng([seed, 31])
+        self.jpeg_quality = int(np.random.default_rng([seed, 32]).integers(JPEG_QUALITIES[0], JPEG_QUALITIES[1] + 1))
         pool = rng.standard_normal((height_px + _POOL_MARGIN, width_px + _POOL_MARGIN, 3), dtype=np.float32)
         pool = np.asarray(
             cv2.GaussianBlur(pool, (3, 3), 0.55), np.float32
@@ -81,10 +91,9 @@ class Sensor:
         noise = cv2.multiply(pool, size, scale=1.0 / (64.0 * 32.0), dtype=cv2.CV_16S)
         return np.asarray(cv2.add(flat, noise, dtype=cv2.CV_8U), dtype=np.uint8)
 
-    @staticmethod
-    def encode(picture: npt.NDArray[np.uint8]) -> bytes:
-        """A JPEG file of quality 90."""
-        done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    def encode(self, picture: npt.NDArray[np.uint8]) -> bytes:
+        """A JPEG file."""
+        done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])
         if not done:
             raise RuntimeError("OpenCV could not encode a picture as JPEG")
         return bytes(data.tobytes())
