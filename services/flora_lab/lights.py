@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
@@ -12,53 +15,66 @@ from flora_common.runs import LIGHTS, Light
 from flora_common.suggest import did_you_mean
 from flora_common.vision.picture import Picture
 
-LightRule = Callable[[int, Picture], Light]
-"""From a frame's index and its picture (at any size) to the lamp that shines."""
+LookRule = Literal["auto", "picture"]
+"""Rules that need the pictures: ``picture`` asks each of them, ``auto`` believes them only where lamps alternate."""
+LOOK_RULES: Final[tuple[LookRule, ...]] = ("auto", "picture")
 
 _SATURATED = 250
 _SMALLEST_SHARE = 0.002
 _CLEARLY = 2.0
 
 
-def parse_rule(text: str) -> LightRule:
+@dataclass(frozen=True, slots=True)
+class ToldRule:
+    """Lamps by frame number: the same one for all, or one per span.
+
+    Attributes:
+        spans: first frame, last frame (None: no end) and lamp.
+    """
+
+    spans: tuple[tuple[int, int | None, Light], ...]
+
+    def __call__(self, index: int) -> Light:
+        """The lamp in a frame.
+
+        Raises:
+            BadInput: no span holds it.
+        """
+        for first, last, light in self.spans:
+            if first <= index and (last is None or index <= last):
+                return light
+        raise BadInput(f"--light-from: no span holds frame {index}; give one for every frame")
+
+
+def parse_rule(text: str) -> ToldRule | LookRule:
     """The rule that ``--light-from`` names.
 
     Args:
-        text: ``left``, ``right``, ``dark`` or ``both`` for all frames; ``picture`` to look at each picture; or spans
-            of frame numbers, ends included, as in ``left:0-46,right:47-93``.
+        text: ``auto``; ``picture`` to ask each picture; ``left``, ``right``, ``dark`` or ``both`` for all frames; or
+            spans of frame numbers, ends included, as in ``left:0-46,right:47-93``.
 
     Raises:
         BadInput: none of these, or spans that overlap.
     """
     for light in LIGHTS:
         if text == light:
-            return lambda index, picture, light=light: light  # type: ignore[misc]
-    if text == "picture":
-        return lambda index, picture: light_in_picture(picture)
+            return ToldRule(((0, None, light),))
+    for rule in LOOK_RULES:
+        if text == rule:
+            return rule
     if ":" not in text:
-        raise BadInput(
-            f"--light-from: `{text[:40]}`{did_you_mean(text, (*LIGHTS, 'picture', 'left:0-46,right:47-93'))}"
-        )
-    return _Spans(text)
-
-
-class _Spans:
-    def __init__(self, text: str) -> None:
-        self._spans: list[tuple[int, int, Light]] = []
-        for part in text.split(","):
-            found = re.fullmatch(r"(\w+):(\d{1,9})-(\d{1,9})", part.strip())
-            if not found:
-                raise BadInput(f"--light-from: `{part[:40]}` is not a span such as left:0-46")
-            first, last = int(found[2]), int(found[3])
-            if last < first or any(first <= b and a <= last for a, b, _ in self._spans):
-                raise BadInput(f"--light-from: span `{part[:40]}` is backwards or overlaps another")
-            self._spans.append((first, last, _known(found[1])))
-
-    def __call__(self, index: int, picture: Picture) -> Light:
-        for first, last, light in self._spans:
-            if first <= index <= last:
-                return light
-        raise BadInput(f"--light-from: no span holds frame {index}; give one for every frame")
+        known = (*LIGHTS, *LOOK_RULES, "left:0-46,right:47-93")
+        raise BadInput(f"--light-from: `{text[:40]}`{did_you_mean(text, known)}")
+    spans: list[tuple[int, int, Light]] = []
+    for part in text.split(","):
+        found = re.fullmatch(r"(\w+):(\d{1,9})-(\d{1,9})", part.strip())
+        if not found:
+            raise BadInput(f"--light-from: `{part[:40]}` is not a span such as left:0-46")
+        first, last = int(found[2]), int(found[3])
+        if last < first or any(first <= b and a <= last for a, b, _ in spans):
+            raise BadInput(f"--light-from: span `{part[:40]}` is backwards or overlaps another")
+        spans.append((first, last, _known(found[1])))
+    return ToldRule(tuple(spans))
 
 
 def light_in_picture(picture: Picture) -> Light:
@@ -77,6 +93,25 @@ def light_in_picture(picture: Picture) -> Light:
     if right >= _CLEARLY * left:
         return "right"
     return "both"
+
+
+def where_lamps_alternate(seen: Mapping[int, Light], alike: Mapping[int, int]) -> dict[int, Light]:
+    """The lamp of each picture by what most of the pictures that look like it show; ``dark`` unless lamps alternate.
+
+    A bright thing that always stands on one side is no lamp. So the left lamp is only believed where there is another
+    appearance of the setup in which the right one shines.
+
+    Args:
+        seen: by frame, what :func:`light_in_picture` says.
+        alike: by frame, a number that pictures of one appearance share.
+    """
+    votes: dict[int, Counter[Light]] = {}
+    for index, group in alike.items():
+        votes.setdefault(group, Counter())[seen[index]] += 1
+    by_group = {group: max(LIGHTS, key=lambda light: count[light]) for group, count in votes.items()}
+    if not {"left", "right"} <= set(by_group.values()):
+        return dict.fromkeys(alike, "dark")
+    return {index: by_group[group] for index, group in alike.items()}
 
 
 def _known(text: str) -> Light:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
@@ -11,6 +12,7 @@ from typing import Final, Protocol
 import cv2
 import numpy as np
 
+from flora_common import files
 from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import Light, RunFolder
 from flora_common.shapes import Obstacle, Target
@@ -25,7 +27,36 @@ from flora_common.vision.picture import (
     reduce_picture,
 )
 
-FILM_SUFFIXES: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v")
+FILM_SUFFIXES: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFile:
+    """A photograph in a file of its own; may be decoded in any process."""
+
+    path: Path
+    size_px: tuple[int, int]
+
+    def load(self, reduction: Reduction) -> Picture:
+        """Decode at 1/reduction of the size; raises BadPicture."""
+        return read_picture(self.path, expected_size=self.size_px, reduction=reduction)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmPicture:
+    """A frame of a film, which can only be decoded in order and is therefore carried along."""
+
+    picture: Picture
+    where: str
+    size_px: tuple[int, int]
+
+    def load(self, reduction: Reduction) -> Picture:
+        """At 1/reduction of the size; raises BadPicture."""
+        checked_array(self.picture, where=self.where)
+        height, width = self.picture.shape[:2]
+        if (width, height) != self.size_px:
+            raise BadPicture(f"{self.where}: is {width}x{height} px, the first is {self.size_px[0]}x{self.size_px[1]}")
+        return reduce_picture(self.picture, reduction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,16 +67,19 @@ class Frame:
         index: place in the whole sequence, from 0.
         name: for messages and file names.
         time_s: from ``frames.csv``; None where the source does not know.
-        light: likewise.
-        load: decodes at 1/reduction of the size; raises BadPicture.
+        picture: decodes it, here or in another process.
+        covariates: from ``frames.csv``.
     """
 
     index: int
     name: str
     time_s: float | None
-    light: Light | None
-    load: Callable[[Reduction], Picture]
+    picture: PictureFile | FilmPicture
     covariates: dict[str, float] = field(default_factory=dict)
+
+    def load(self, reduction: Reduction) -> Picture:
+        """Decode at 1/reduction of the size; raises BadPicture."""
+        return self.picture.load(reduction)
 
 
 class Source(Protocol):
@@ -60,7 +94,15 @@ class Source(Protocol):
 
     @property
     def count(self) -> int: ...
+    @property
+    def lights(self) -> Sequence[Light] | None:
+        """The lamp of every frame; None where the source does not know."""
+        ...
+
     def frames(self) -> Iterator[Frame]: ...
+    def fingerprint(self) -> str:
+        """Changes when the input does: over names, sizes and times of change of its files; pictures are not read."""
+        ...
 
 
 class RunSource:
@@ -73,6 +115,7 @@ class RunSource:
         self.name = str(path)
         self.size_px = (self.run.camera.width_px, self.run.camera.height_px)
         self.count = len(self.rows)
+        self.lights: Sequence[Light] | None = [row.light for row in self.rows]
         if not self.rows:
             raise BadInput(f"{self.folder.frames_csv}: lists no frames; nothing to track")
 
@@ -86,8 +129,12 @@ class RunSource:
 
     def frames(self) -> Iterator[Frame]:
         for i, row in enumerate(self.rows):
-            load = _file_loader(self._find(row.file), self.size_px)
-            yield Frame(i, row.file, row.time_s, row.light, load, row.covariates)
+            yield Frame(i, row.file, row.time_s, PictureFile(self._find(row.file), self.size_px), row.covariates)
+
+    def fingerprint(self) -> str:
+        tables = [files.sha256_of_file(self.folder.run_toml), files.sha256_of_file(self.folder.frames_csv)]
+        pictures = [*self.folder.background_pictures(), *(self._find(row.file) for row in self.rows)]
+        return _hash([*tables, *map(_state_of, pictures)])
 
     def _find(self, file: str) -> Path:
         """``file`` is relative to the run folder, or to its ``frames/``."""
@@ -97,6 +144,8 @@ class RunSource:
 
 class FolderSource:
     """The pictures in a folder, in the order of their names; all of the first one's size."""
+
+    lights: Sequence[Light] | None = None
 
     def __init__(self, path: Path) -> None:
         self.files = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
@@ -108,7 +157,11 @@ class FolderSource:
 
     def frames(self) -> Iterator[Frame]:
         for i, file in enumerate(self.files):
-            yield Frame(i, file.name, None, None, _file_loader(file, self.size_px))
+            name = os.fsencode(file.name).decode("utf-8", "replace")
+            yield Frame(i, name, None, PictureFile(file, self.size_px))
+
+    def fingerprint(self) -> str:
+        return _hash(map(_state_of, self.files))
 
     def _first_size(self) -> tuple[int, int]:
         first: BadPicture | None = None
@@ -123,6 +176,8 @@ class FolderSource:
 class FilmSource:
     """The frames of a film file, decoded in order by OpenCV."""
 
+    lights: Sequence[Light] | None = None
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = str(path)
@@ -136,7 +191,10 @@ class FilmSource:
 
     def frames(self) -> Iterator[Frame]:
         for i, picture in enumerate(self._pictures()):
-            yield Frame(i, f"frame {i:05d}", None, None, _array_loader(picture, f"{self.path} frame {i}", self.size_px))
+            yield Frame(i, f"frame {i:05d}", None, FilmPicture(picture, f"{self.path} frame {i}", self.size_px))
+
+    def fingerprint(self) -> str:
+        return _hash([_state_of(self.path)])
 
     def _pictures(self) -> Iterator[Picture]:
         # OpenCV and its film reader write complaints of their own to stderr, beside the one line that we owe.
@@ -174,17 +232,16 @@ def open_source(path: Path) -> RunSource | FolderSource | FilmSource:
     raise BadInput(f"{path}: neither a run folder, a folder of pictures, nor a film ({', '.join(FILM_SUFFIXES)})")
 
 
-def _file_loader(file: Path, size_px: tuple[int, int]) -> Callable[[Reduction], Picture]:
-    return lambda reduction: read_picture(file, expected_size=size_px, reduction=reduction)
+def _state_of(path: Path) -> str:
+    try:
+        status = path.stat()
+    except OSError as problem:
+        return f"{path.resolve()}: {problem.strerror}"
+    return f"{path.resolve()} {status.st_size} {status.st_mtime_ns}"
 
 
-def _array_loader(picture: Picture, where: str, size_px: tuple[int, int]) -> Callable[[Reduction], Picture]:
-    def load(reduction: Reduction) -> Picture:
-        checked_array(picture, where=where)
-        if (picture.shape[1], picture.shape[0]) != size_px:
-            raise BadPicture(
-                f"{where}: is {picture.shape[1]}x{picture.shape[0]} px, the first is {size_px[0]}x{size_px[1]}"
-            )
-        return reduce_picture(picture, reduction)
-
-    return load
+def _hash(lines: Iterable[str]) -> str:
+    digest = hashlib.sha256()
+    for line in lines:
+        digest.update(line.encode("utf-8", "surrogateescape") + b"\0")
+    return digest.hexdigest()

@@ -1,17 +1,29 @@
-"""The setup matrices L and H, made from ``background/`` whenever that changes, and kept for the next start."""
+"""The empty setup, made whenever ``background/`` changes; where there is none, learnt from the plant's own frames."""
 
 from __future__ import annotations
 
 import contextlib
+from collections import defaultdict
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
 from flora_common.errors import BadInput, StoreError
-from flora_common.runs import CameraSection, RunFolder
-from flora_common.vision.picture import Reduction
+from flora_common.messages import Frame
+from flora_common.runs import CameraSection, Light, RunFolder
+from flora_common.vision import lamp_states
+from flora_common.vision.lamp_states import EmptySetup, LampState
+from flora_common.vision.picture import Picture, Reduction, read_picture
 from flora_common.vision.setup import SetupMatrices, from_files, hash_of_files
+from flora_stem.finder import Finder, Method, PaperFinder, PathFinder, reduction_of
+from flora_stem.section import StemSection
 
 CACHE_FILE: Final = "setup.npz"
+NO_BACKGROUND: Final = "no background pictures; run flora-stem calibrate"
+LEARN_AT: Final = (12, 24, 48)
+"""Frames of one lamp state after which the empty setup is learnt from them: anew as they show more of it."""
+LEARN_FROM: Final = 24
+"""Of them, evenly spread; each needs 6 MB while it lasts."""
 
 
 class Background:
@@ -20,26 +32,31 @@ class Background:
     Args:
         run: the run folder.
         camera: size that each picture must have.
-        reduction: pictures are decoded at this fraction of their size.
-        cache: file in the state folder where the matrices are kept.
+        section: the method and its numbers.
+        cache: file in the state folder where the matrices of the published method are kept.
 
     Attributes:
-        setup: the matrices; None where there are none.
-        reason: why there are none; empty also where there is simply no picture.
+        finder: the method with the empty setup; None where there is none.
+        reason: why there is none; empty also where there is simply no picture.
+        pictures: how many the setup was made from.
+        made_by: ``background``, ``frames``, or empty.
     """
 
-    def __init__(self, run: RunFolder, camera: CameraSection, reduction: Reduction, cache: Path) -> None:
-        self._run = run
-        self._size_px = (camera.width_px, camera.height_px)
-        self._reduction: Reduction = reduction
+    def __init__(self, run: RunFolder, camera: CameraSection, section: StemSection, cache: Path) -> None:
+        self._run, self._camera, self._section = run, camera, section
+        self._method: Method = section.method
+        self._reduction: Reduction = reduction_of(section.method, section.paper)
         self._cache = cache
         self._seen: list[tuple[str, int, int]] | None = None
-        self.setup: SetupMatrices | None = None
+        self._learner = _Learner(run, camera, section)
+        self.finder: Finder | None = None
         self.reason = ""
+        self.pictures = 0
+        self.made_by = ""
         self.from_cache = False
 
     def refresh(self) -> bool:
-        """Look at the folder; True where it has changed and the matrices, or their lack, are new."""
+        """Look at the folder; True where the empty setup, or its lack, is new."""
         paths, seen = [], []
         for path in self._run.background_pictures():
             try:
@@ -49,29 +66,101 @@ class Background:
             paths.append(path)
             seen.append((path.name, status.st_size, status.st_mtime_ns))
         if seen == self._seen:
-            return False
+            return not paths and self._learnt()
         self._seen = seen
-        self.setup, self.reason, self.from_cache = None, "", False
+        self.finder, self.reason, self.pictures, self.made_by, self.from_cache = None, "", 0, "", False
         if paths:
             try:
-                self.setup = self._made(paths)
+                self.finder = self._made(paths)
+                self.pictures, self.made_by = len(paths), "background"
             except BadInput as problem:
                 self.reason = str(problem)
+        else:
+            self._learnt()
         return True
 
-    def _made(self, paths: list[Path]) -> SetupMatrices:
-        kept = self._kept()
-        if kept is not None and kept.sources_sha256 == hash_of_files(paths, reduction=self._reduction):
-            self.from_cache = True
-            return kept
-        made = from_files(paths, reduction=self._reduction, expected_size=self._size_px)
+    def saw(self, frame: Frame) -> None:
+        """A frame of the run came: one more to learn from where there are no background pictures."""
+        if self._method == "path" and not self._seen:
+            self._learner.saw(frame)
+            if self.finder is None:
+                self.reason = self._learner.waiting_for
+
+    def _learnt(self) -> bool:
+        try:
+            setup = self._learner.result()
+        except BadInput as problem:
+            self.reason = str(problem)
+            return True
+        if setup is None:
+            return False
+        self.finder = PathFinder(setup, self._camera, self._section.path)
+        self.reason, self.pictures, self.made_by = "", setup.pictures, "frames"
+        return True
+
+    def _made(self, paths: list[Path]) -> Finder:
+        if self._method == "paper":
+            return PaperFinder(self._matrices(paths), self._camera, self._section.paper, self._section.largest_share)
+        setup = lamp_states.from_background(self._read(path) for path in paths)
+        return PathFinder(setup, self._camera, self._section.path)
+
+    def _read(self, path: Path) -> Picture:
+        return read_picture(path, expected_size=(self._camera.width_px, self._camera.height_px))
+
+    def _matrices(self, paths: list[Path]) -> SetupMatrices:
+        with contextlib.suppress(BadInput):
+            kept = SetupMatrices.load(self._cache)
+            if kept.sources_sha256 == hash_of_files(paths, reduction=self._reduction):
+                self.from_cache = True
+                return kept
+        size = (self._camera.width_px, self._camera.height_px)
+        made = from_files(paths, reduction=self._reduction, expected_size=size)
         # Where it cannot be kept only the next start is slower; a full disk is told by those who must write.
         with contextlib.suppress(StoreError, OSError):
             made.save(self._cache)
         return made
 
-    def _kept(self) -> SetupMatrices | None:
-        try:
-            return SetupMatrices.load(self._cache)
-        except BadInput:
+
+class _Learner:
+    """Learns lamp states from the run's own frames, in a thread: it takes seconds, and the service must go on."""
+
+    def __init__(self, run: RunFolder, camera: CameraSection, section: StemSection) -> None:
+        self._run, self._camera, self._section = run, camera, section
+        self._frames: dict[Light, list[str]] = defaultdict(list)
+        self._states: dict[Light, LampState] = {}
+        self._pool: ThreadPoolExecutor | None = None
+        self._work: tuple[Light, Future[LampState]] | None = None
+        self.waiting_for = ""
+
+    def saw(self, frame: Frame) -> None:
+        files = self._frames[frame.light]
+        files.append(frame.path)
+        if not self._states:
+            most = max(len(v) for v in self._frames.values())
+            self.waiting_for = (
+                f"{NO_BACKGROUND}; or wait: the empty setup is learnt from {LEARN_AT[0]} frames with one lamp, "
+                f"{most} are there"
+            )
+        if self._work is None and len(files) in LEARN_AT:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(1, "learn")
+            self._work = (frame.light, self._pool.submit(self._learn, list(files)))
+
+    def result(self) -> EmptySetup | None:
+        """All states that are known, where one has become known since the last call."""
+        if self._work is None or not self._work[1].done():
             return None
+        light, work = self._work
+        self._work = None
+        self._states[light] = work.result()
+        return EmptySetup(list(self._states.values()), "frames")
+
+    def _learn(self, files: list[str]) -> LampState:
+        size = (self._camera.width_px, self._camera.height_px)
+        step = -(-len(files) // LEARN_FROM)
+        pictures = []
+        for file in files[::step]:
+            with contextlib.suppress(BadInput):  # told when it was read for its stem
+                pictures.append(read_picture(self._run.path / file, expected_size=size))
+        widest_px = self._section.path.widest_stem_cm * self._camera.px_per_cm
+        return lamp_states.from_frames(pictures, anchor_px=self._camera.anchor_px, widest_px=widest_px)

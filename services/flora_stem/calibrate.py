@@ -22,12 +22,12 @@ import zmq
 from flora_common.bus import BusClient
 from flora_common.cli import run_cli
 from flora_common.config import load_config
-from flora_common.errors import BadInput, BusUnreachable, DeviceError
+from flora_common.errors import BadInput, BusUnreachable, DeviceError, StoreError
 from flora_common.files import fsync_folder, make_folder
 from flora_common.messages import Frame, FrameMissed, Lamps, Message, Setup
 from flora_common.runs import Light, RunFolder
 from flora_common.service import default_clock
-from flora_stem.core import StemSection
+from flora_stem.section import StemSection
 
 SOURCE: Final = "flora-stem-calibrate"
 STATES: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
@@ -171,19 +171,30 @@ class Line:
 
 
 def set_aside(run: RunFolder) -> Path | None:
-    """Move the pictures of an earlier setup run into a folder of their own; nothing is deleted."""
-    pictures = run.background_pictures()
-    if not pictures:
-        return None
-    number = 1
-    while (run.background / f"before-{number}").exists():
-        number += 1
-    folder = run.background / f"before-{number}"
-    make_folder(folder)
-    for picture in pictures:
-        picture.rename(folder / picture.name)
-    fsync_folder(folder)
-    fsync_folder(run.background)
+    """Move the pictures of an earlier setup run into a folder of their own; nothing is deleted.
+
+    Raises:
+        StoreError: the folder is read-only, full or not ours. Those that were moved already are safe; asking again
+            moves the rest.
+    """
+    try:
+        pictures = run.background_pictures()
+        if not pictures:
+            return None
+        number = 1
+        while (run.background / f"before-{number}").exists():
+            number += 1
+        folder = run.background / f"before-{number}"
+        make_folder(folder)
+        for picture in pictures:
+            picture.rename(folder / picture.name)
+        fsync_folder(folder)
+        fsync_folder(run.background)
+    except OSError as problem:
+        raise StoreError(
+            f"{run.background}: the earlier pictures cannot be set aside ({problem.strerror});"
+            " see that the folder can be written"
+        ) from problem
     return folder
 
 

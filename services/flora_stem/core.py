@@ -4,34 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Final, get_args
+from typing import Final, get_args
 
 import msgspec
 import numpy as np
 
-from flora_common.errors import BadInput, BadPicture
+from flora_common.errors import BadPicture
 from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.messages.catalogue import Outcome
-from flora_common.runs import CameraSection, Light
-from flora_common.vision.paper import PaperSettings, PaperTracker, StemReading, bad_picture
+from flora_common.runs import Light
 from flora_common.vision.picture import Picture
-from flora_common.vision.setup import SetupMatrices
+from flora_common.vision.reading import StemReading, bad_picture
+from flora_stem.background import NO_BACKGROUND
+from flora_stem.finder import Finder, Method
 from flora_stem.record import StemRecord
 
 LONGEST_REASON: Final = 500
 FARTHEST_CM: Final = 500.0
 """A point farther away than the bus can say comes from a wrong scale in run.toml."""
 
-NO_BACKGROUND: Final = "no background pictures; run flora-stem calibrate"
-
-
-class StemSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[stem]``; ``[stem.paper]`` are the numbers of the published method."""
-
-    largest_share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.25
-    """Where more of the picture than this differs from the empty setup, it is no plant but another light."""
-    paper: PaperSettings = PaperSettings()
+IN_TRACK: Final = ("ok", "occluded")
+"""Outcomes whose stem is written to the track, with its uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +35,7 @@ class Row:
     time_s: float
     light: Light
     points_cm: FloatArray
+    extras: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +50,7 @@ class StemCore:
     """Finds the stem in each frame, once per tick.
 
     Args:
-        camera: size, anchor and scale.
-        section: numbers of the method.
+        method: its name, for the messages.
         record: where the last start was left.
         read: the picture of a frame, decoded and reduced; raises BadPicture.
         now_ms: a stopwatch, for ``took_ms`` alone.
@@ -64,35 +58,27 @@ class StemCore:
 
     def __init__(
         self,
-        camera: CameraSection,
-        section: StemSection,
+        method: Method,
         record: StemRecord,
         *,
         read: Callable[[Frame], Picture],
         now_ms: Callable[[], float],
     ) -> None:
-        self._camera = camera
-        self._section = section
+        self._method = method
         self._read = read
         self._now_ms = now_ms
-        self._tracker: PaperTracker | None = None
+        self._finder: Finder | None = None
         self._why_not = NO_BACKGROUND
         self.record = record
 
     @property
     def why_not(self) -> str:
         """Why no stem can be found at all; empty where it can."""
-        return "" if self._tracker is not None else self._why_not
+        return "" if self._finder is not None else self._why_not
 
-    def use(self, setup: SetupMatrices | None, why_not: str) -> None:
-        """Look for what differs from this setup from now on; without one, say why there is none."""
-        self._tracker, self._why_not = None, why_not or NO_BACKGROUND
-        if setup is None:
-            return
-        try:
-            self._tracker = PaperTracker(setup, self._camera, self._section.paper)
-        except BadInput as problem:
-            self._why_not = str(problem)
+    def use(self, finder: Finder | None, why_not: str) -> None:
+        """Look for stems with this from now on; without one, say why there is none."""
+        self._finder, self._why_not = finder, why_not or NO_BACKGROUND
 
     def on_frame(self, frame: Frame) -> Answer | None:
         """The stem of a frame of the run; the same again for a tick that was answered; None for an older one."""
@@ -100,11 +86,11 @@ class StemCore:
         before = self._before(frame.tick)
         if before is not None or frame.tick < self.record.tick:
             return before
-        if self._tracker is None:
+        if self._finder is None:
             reading = StemReading("no_stem", reason=self._why_not)
         else:
-            self._tracker.tip_px = self.record.tip_px
-            reading = self._reading(self._tracker, frame)
+            self._finder.recall(self.record)
+            reading = self._reading(self._finder, frame)
         points = reading.points_cm
         notes = [reading.reason]
         if not frame.flash_confirmed:
@@ -118,16 +104,19 @@ class StemCore:
             points_cm=() if points is None else tuple((float(x), float(y)) for x, y in points),
             quality=min(max(reading.quality, 0.0), 1.0),
             light=frame.light,
+            method=self._method,
+            folded=reading.folded,
+            uncertainty_mm=() if reading.uncertainty_mm is None else _millimetres(reading.uncertainty_mm),
             frame_sha256=frame.sha256,
             took_ms=max(0.0, self._now_ms() - began_ms),
             reason="; ".join(note for note in notes if note)[:LONGEST_REASON],
         )
-        self.record = msgspec.structs.replace(
-            self.record, tick=stem.tick, stem=stem, tip_px=reading.tip_px or self.record.tip_px
-        )
-        return Answer(
-            stem, Row(frame.time_s, frame.light, points) if points is not None and stem.outcome == "ok" else None
-        )
+        self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
+        if points is not None and self._finder is not None:
+            self.record = self._finder.remembered(self.record)
+        if points is None or stem.outcome not in IN_TRACK:
+            return Answer(stem)
+        return Answer(stem, Row(frame.time_s, frame.light, points, _extras(reading)))
 
     def on_missed(self, missed: FrameMissed) -> Answer | None:
         """The answer for a tick without a photograph."""
@@ -143,21 +132,29 @@ class StemCore:
         last = self.record.stem
         return Answer(last) if last is not None and last.tick == tick else None
 
-    def _reading(self, tracker: PaperTracker, frame: Frame) -> StemReading:
+    def _reading(self, finder: Finder, frame: Frame) -> StemReading:
         try:
-            picture = self._read(frame)
-            reading = tracker.read(picture)
+            reading = finder.read(self._read(frame), frame.time_s)
         except BadPicture as problem:
             return bad_picture(str(problem))
-        share = reading.stem_pixels / tracker.setup.L.size
-        if share > self._section.largest_share:
-            return bad_picture(
-                f"{share:.0%} of the picture differ from the empty setup; flash, exposure or camera have changed"
-            )
         points = reading.points_cm
         if points is not None and not (np.isfinite(points).all() and np.abs(points).max() <= FARTHEST_CM):
             return bad_picture(f"points more than {FARTHEST_CM:g} cm away; correct px_per_cm in run.toml")
         return reading
+
+
+def _extras(reading: StemReading) -> dict[str, float]:
+    """Further columns of the track."""
+    tip_mm = float(reading.uncertainty_mm[-1]) if reading.uncertainty_mm is not None else 0.0
+    return {
+        "quality": round(reading.quality, 3),
+        "folded": float(reading.folded),
+        "tip_uncertainty_mm": round(tip_mm, 3),
+    }
+
+
+def _millimetres(values: FloatArray) -> tuple[float, ...]:
+    return tuple(round(min(float(v), 10_000.0), 3) for v in values)
 
 
 def _outcome(name: str) -> Outcome:

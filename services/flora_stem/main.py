@@ -19,8 +19,10 @@ from flora_common.service import run_service
 from flora_common.vision.picture import Picture, read_picture
 from flora_stem import calibrate
 from flora_stem.background import CACHE_FILE, Background
-from flora_stem.core import Answer, Row, StemCore, StemSection
-from flora_stem.record import RECORD_FILE, StemRecord, last_track_row, read_record, tip_in_px, write_record
+from flora_stem.core import Answer, Row, StemCore
+from flora_stem.finder import reduction_of
+from flora_stem.record import RECORD_FILE, StemRecord, continued, last_track_row, read_record, write_record
+from flora_stem.section import StemSection
 
 WAITING_ROWS: Final = 10_000
 """Lines that wait in memory while the disk is full: more than a month of them."""
@@ -33,7 +35,7 @@ class FrameReader:
         self._run = run
         self._names = {run.path.name, run.path.resolve().name}
         self._size_px = (run_file.camera.width_px, run_file.camera.height_px)
-        self._reduction = section.paper.reduction
+        self._reduction = reduction_of(section.method, section.paper)
 
     def __call__(self, frame: Frame) -> Picture:
         """Decoded at the reduced size straight from the file, so that it never lies in memory at its full one.
@@ -72,7 +74,7 @@ class Track:
             self._waiting.append(row)
         while self._waiting:
             first = self._waiting[0]
-            self._run.append_track(first.time_s, first.light, first.points_cm)
+            self._run.append_track(first.time_s, first.light, first.points_cm, first.extras)
             self._waiting.popleft()
 
 
@@ -80,11 +82,10 @@ def build(app: App[StemSection]) -> None:
     cv2.setNumThreads(1)  # the pictures are small; a thread per core costs memory and wins nothing
     run_file = app.run.read_run_file()
     record_file = app.state_dir / RECORD_FILE
-    background = Background(app.run, run_file.camera, app.config.paper.reduction, app.state_dir / CACHE_FILE)
+    background = Background(app.run, run_file.camera, app.config, app.state_dir / CACHE_FILE)
     track = Track(app.run)
     core = StemCore(
-        run_file.camera,
-        app.config,
+        app.config.method,
         resumed(read_record(record_file, run=run_identity(app.run, run_file)), app.run, run_file),
         read=FrameReader(app.run, run_file, app.config),
         now_ms=lambda: time.perf_counter() * 1000.0,
@@ -92,9 +93,14 @@ def build(app: App[StemSection]) -> None:
 
     def look_at_background() -> None:
         if background.refresh():
-            core.use(background.setup, background.reason)
-            pictures = background.setup.pictures if background.setup else 0
-            app.log.event("setup", pictures=pictures, from_cache=background.from_cache, reason=core.why_not)
+            core.use(background.finder, background.reason)
+            app.log.event(
+                "setup",
+                pictures=background.pictures,
+                made_by=background.made_by,
+                from_cache=background.from_cache,
+                reason=core.why_not,
+            )
         app.trouble("background", core.why_not)
 
     def say(answer: Answer | None) -> None:
@@ -116,6 +122,7 @@ def build(app: App[StemSection]) -> None:
         if frame.purpose == "run":
             look_at_background()
             say(core.on_frame(frame))
+            background.saw(frame)
 
     def on_missed(missed: FrameMissed) -> None:
         if missed.purpose == "run":
@@ -137,11 +144,11 @@ def run_identity(run: RunFolder, run_file: RunFile) -> str:
 
 
 def resumed(record: StemRecord, run: RunFolder, run_file: RunFile) -> StemRecord:
-    """The record; where it knows no tip, the one of the track's last line."""
+    """The record; where it remembers nothing, with the stem of the track's last line."""
     last = last_track_row(run.track_csv)
     if record.tip_px is not None or last is None:
         return record
-    return StemRecord(record.run, record.tick, record.stem, tip_in_px(last[1], run_file.camera))
+    return continued(record, last, run_file.camera)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

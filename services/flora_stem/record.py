@@ -7,10 +7,15 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from flora_common.files import write_bytes
+from flora_common.geometry import FloatArray
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
+from flora_common.shapes import STEM_POINTS
+from flora_common.vision.path.length import LengthState
+from flora_common.vision.path.tracker import Memory
 
 RECORD_FILE: Final = "stem.json"
 TAIL_BYTES: Final = 8192
@@ -25,12 +30,14 @@ class StemRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tick: the last tick that was answered.
         stem: the answer.
         tip_px: the tip before the next frame, in px of the full picture.
+        path: what the path method remembers.
     """
 
     run: str
     tick: int = 0
     stem: Stem | None = None
     tip_px: tuple[float, float] | None = None
+    path: Memory | None = None
 
 
 def read_record(path: Path, *, run: str) -> StemRecord:
@@ -52,8 +59,8 @@ def write_record(path: Path, record: StemRecord) -> None:
     write_bytes(path, msgspec.json.encode(record))
 
 
-def last_track_row(path: Path) -> tuple[float, tuple[float, float]] | None:
-    """(time_s, tip in cm) of the last whole line of ``track.csv`` that can be read; None where there is none.
+def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
+    """(time_s, ten points in cm) of the last whole line of ``track.csv`` that can be read; None where there is none.
 
     A line without its end was torn by a power cut and is cut off when the next one is added.
     """
@@ -66,15 +73,21 @@ def last_track_row(path: Path) -> tuple[float, tuple[float, float]] | None:
     for line in reversed(lines):
         parts = line.split(b",")
         try:
-            time_s, x_cm, y_cm = float(parts[0]), float(parts[20]), float(parts[21])
+            time_s = float(parts[0])
+            points = np.array([float(part) for part in parts[2 : 2 + 2 * STEM_POINTS]]).reshape(STEM_POINTS, 2)
         except (ValueError, IndexError):
             continue
-        if math.isfinite(time_s) and math.isfinite(x_cm) and math.isfinite(y_cm):
-            return time_s, (x_cm, y_cm)
+        if math.isfinite(time_s) and np.isfinite(points).all():
+            return time_s, points
     return None
 
 
-def tip_in_px(tip_cm: tuple[float, float], camera: CameraSection) -> tuple[float, float]:
-    """A place in cm as px of the full picture, y down."""
-    anchor_x, anchor_y = camera.anchor_px
-    return anchor_x + tip_cm[0] * camera.px_per_cm, anchor_y - tip_cm[1] * camera.px_per_cm
+def continued(record: StemRecord, last: tuple[float, FloatArray], camera: CameraSection) -> StemRecord:
+    """The record with the stem of the track's last line for what it remembers."""
+    time_s, points_cm = last
+    line_px = np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm
+    line = [(float(x), float(y)) for x, y in line_px]
+    length_cm = float(np.hypot(*np.diff(points_cm, axis=0).T).sum())
+    # ten points cut the corners of a bent stem by some per cent
+    memory = Memory(line, LengthState(time_s, length_cm, length_var=(0.02 * length_cm + 0.05) ** 2))
+    return msgspec.structs.replace(record, tip_px=line[-1], path=memory)

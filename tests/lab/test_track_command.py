@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import subprocess
@@ -13,66 +14,25 @@ import cv2
 import numpy as np
 import pytest
 
+from drawn_run import SIZE, make_run, picture, stem_cm, sway
 from flora_common.tracks import read_track
 from flora_lab import sources
 from flora_lab.main import main
 
 BAD = Path(__file__).parents[1] / "golden" / "runs_bad"
 SENTENCES = tomllib.loads((BAD / "sentences.toml").read_text())
-SIZE = (160, 120)  # width, height
-ANCHOR = (79.5, 110.0)
-RUN_TOML = """\
-interval_s = 300
-
-[camera]
-anchor_px = [79.5, 110]
-px_per_cm = 5.0
-width_px = 160
-height_px = 120
-
-[target]
-x_cm = -4
-y_cm = 16
-
-[obstacle]
-x_cm = 8
-y_cm = 10
-"""
+METHODS = ("path", "paper")
 
 
-def picture(tip_x: float | None, light: str = "left") -> np.ndarray:
-    image = np.full((SIZE[1], SIZE[0], 3), 30, dtype=np.uint8)
-    if light != "dark":
-        image[2:12, slice(2, 14) if light == "left" else slice(146, 158)] = 255
-    if tip_x is not None:
-        tip = (tip_x, 30.0)
-        cv2.line(image, *[tuple(round(16 * v) for v in p) for p in (ANCHOR, tip)], (60, 230, 60), 2, cv2.LINE_AA, 4)
-    return image
+def tips(indices: list[int]) -> np.ndarray:
+    return np.array([stem_cm(sway(i), 1.0) for i in indices])
 
 
-def sway(i: int) -> float:
-    return float(79.5 + 25 * np.sin(i / 4))
-
-
-def make_run(
-    folder: Path, frames: int = 12, *, background: bool = True, empty: int = 3, torn: tuple[int, ...] = ()
-) -> Path:
-    (folder / "frames").mkdir(parents=True)
-    (folder / "run.toml").write_text(RUN_TOML)
-    if background:
-        (folder / "background").mkdir()
-        for light in ("left", "right"):
-            cv2.imwrite(str(folder / "background" / f"{light}.jpg"), picture(None, light))
-    lines = ["file,time_s,light,temperature_c"]
-    for i in range(frames):
-        light = "left" if i < frames // 2 else "right"
-        path = folder / "frames" / f"{i:04d}.jpg"
-        cv2.imwrite(str(path), picture(None if i == empty else sway(i), light))
-        if i in torn:
-            path.write_bytes(path.read_bytes()[:-50])
-        lines.append(f"frames/{path.name},{300 * i},{light},{20 + i}")
-    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
-    return folder
+def near(found: np.ndarray, expected: np.ndarray) -> None:
+    """Loosely: how well stems are found is judged elsewhere, on better pictures."""
+    off = np.hypot(*(found - expected).T)
+    assert np.median(off) < 0.3
+    assert off.max() < 1.0
 
 
 def fingerprint(folder: Path) -> dict[str, str]:
@@ -97,13 +57,18 @@ def test_bad_run_ends_with_2_and_one_line(name: str, tmp_path: Path, capfd: pyte
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_folder_gives_a_track_and_is_left_untouched(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_run_folder_gives_a_track_and_is_left_untouched(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = make_run(tmp_path / "run", torn=(7,))
     before = fingerprint(run)
     out = tmp_path / "out" / "track.csv"
-    assert main(["track", str(run), "-o", str(out), "--overlays", str(tmp_path / "seen"), "--every", "4"]) == 0
+    options = ["-o", str(out), "--overlays", str(tmp_path / "seen"), "--every", "4", "--method", method]
+    assert main(["track", str(run), *options]) == 0
     said = capfd.readouterr()
     assert "12 frames, 10 readings: 10 ok, 1 no_stem, 1 bad_picture" in said.out
+    assert "from 2 background pictures" in said.out
     assert said.err.startswith("left out: ")
     assert "0007.jpg: JPEG is cut short" in said.err
     assert fingerprint(run) == before
@@ -112,14 +77,37 @@ def test_run_folder_gives_a_track_and_is_left_untouched(tmp_path: Path, capfd: p
     assert track.time_s.tolist() == [300.0 * i for i in kept]
     assert track.light == tuple("left" if i < 6 else "right" for i in kept)
     assert track.covariates["temperature_c"].tolist() == [20.0 + i for i in kept]
-    expected = np.array([((sway(i) - 79.5) / 5.0, 16.0) for i in kept])
-    assert np.abs(track.points_cm[:, 9] - expected).max() < 0.5
-    assert np.abs(track.points_cm[:, 5] - expected * 5 / 9).max() < 0.15
+    near(track.points_cm[:, 9], tips(kept))
     names = sorted(p.name for p in (tmp_path / "seen").iterdir())
     assert names == ["00000_0000.jpg", "00004_0004.jpg", "00008_0008.jpg", "contact.png", "readings.csv"]
-    table = (tmp_path / "seen" / "readings.csv").read_text().splitlines()
-    assert len(table) == 13
-    assert table[8].split(",")[4] == "bad_picture"
+    assert sorted(p.name for p in out.parent.iterdir()) == ["track.csv"]
+
+
+def test_path_is_the_default_and_adds_numeric_columns(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    assert main(["track", str(run), "-o", str(tmp_path / "a.csv"), "-q"]) == 0
+    assert main(["track", str(run), "-o", str(tmp_path / "b.csv"), "-q", "--method", "path"]) == 0
+    assert main(["track", str(run), "-o", str(tmp_path / "c.csv"), "-q", "--method", "paper"]) == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    header = (tmp_path / "a.csv").read_text().splitlines()[0].split(",")
+    assert header[-5:] == ["y10", "temperature_c", "quality", "folded", "tip_uncertainty_mm"]
+    covariates = read_track(tmp_path / "a.csv").covariates
+    assert set(covariates["folded"]) == {0.0}
+    assert np.all((covariates["quality"] > 0.5) & (covariates["quality"] <= 1.0))
+    assert np.all((covariates["tip_uncertainty_mm"] > 0.0) & (covariates["tip_uncertainty_mm"] < 10.0))
+    assert list(read_track(tmp_path / "c.csv").covariates) == ["temperature_c"]
+
+
+def test_points_along_the_stem_differ_from_points_by_height(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", 10)
+    for points in ("y", "arc"):
+        assert main(["track", str(run), "-o", str(tmp_path / f"{points}.csv"), "-q", "--points", points]) == 0
+    by_y, by_arc = (read_track(tmp_path / f"{name}.csv").points_cm[-1] for name in ("y", "arc"))
+    assert np.ptp(np.diff(by_y[:, 1])) < 0.001
+    steps = np.hypot(*np.diff(by_arc, axis=0).T)
+    assert np.ptp(steps) < 0.02
+    assert np.ptp(np.diff(by_arc[:, 1])) > 0.1
+    assert np.array_equal(by_y[-1], by_arc[-1])
 
 
 def test_json_and_quiet_are_for_scripts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -129,7 +117,9 @@ def test_json_and_quiet_are_for_scripts(tmp_path: Path, capfd: pytest.CaptureFix
     summary = json.loads(said.out)
     assert said.err == ""
     assert summary["outcomes"] == {"ok": 11, "no_stem": 1}
-    assert (summary["frames"], summary["readings"], summary["setup"]) == (12, 11, "background")
+    assert (summary["frames"], summary["readings"], summary["method"]) == (12, 11, "path")
+    assert (summary["setup"], summary["setup_pictures"], summary["setup_states"]) == ("background", 2, 2)
+    assert (summary["lights"], summary["lights_from"]) == ({"left": 5, "right": 6}, "frames.csv")
     assert main(["track", str(run), "-o", str(tmp_path / "b.csv"), "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
@@ -151,44 +141,89 @@ def test_existing_output_is_kept_unless_forced(tmp_path: Path, capfd: pytest.Cap
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["note"]
 
 
-def test_run_without_background_learns_from_its_frames(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_run_without_background_learns_from_its_frames(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = make_run(tmp_path / "run", 40, background=False, empty=-1)
-    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--json"]) == 0
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--json", "--method", method]) == 0
     summary = json.loads(capfd.readouterr().out)
-    assert summary["setup"] == "frames"
+    assert (summary["setup"], summary["setup_pictures"], summary["setup_states"]) == ("frames", 40, 2)
     assert summary["readings"] == 40
     track = read_track(tmp_path / "t.csv")
-    expected = np.array([(sway(i) - 79.5) / 5.0 for i in range(40)])
-    assert np.corrcoef(track.points_cm[:, 9, 0], expected)[0, 1] > 0.99
+    assert np.corrcoef(track.points_cm[:, 9, 0], tips(list(range(40)))[:, 0])[0, 1] > 0.99
 
 
-def test_folder_of_pictures_takes_lamps_from_the_pictures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_folder_of_pictures_tells_lamps_that_alternate(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = make_run(tmp_path / "run", 40)
-    base = ["track", str(run / "frames"), "--anchor", "79.5,110", "--px-per-cm", "5", "--interval-s", "60", "-q"]
-    assert main([*base, "--light-from", "picture", "-o", str(tmp_path / "a.csv")]) == 0
-    assert main([*base, "--light-from", "left:0-19,right:20-39", "-o", str(tmp_path / "b.csv")]) == 0
-    a, b = read_track(tmp_path / "a.csv"), read_track(tmp_path / "b.csv")
-    assert a.light == b.light
-    assert set(a.light) == {"left", "right"}
-    assert np.array_equal(a.points_cm, b.points_cm)
-    assert np.all(a.time_s % 60 == 0)
-    capfd.readouterr()
+    place = ["--anchor", "159.5,220", "--px-per-cm", "10"]
+    base = ["track", str(run / "frames"), *place, "--interval-s", "60", "--json", "--method", method]
+    found = []
+    for name, rule in (("a", []), ("b", ["--light-from", "picture"]), ("c", ["--light-from", "left:0-19,right:20-39"])):
+        assert main([*base, *rule, "-o", str(tmp_path / f"{name}.csv")]) == 0
+        found.append(json.loads(capfd.readouterr().out))
+    assert [f["lights_from"] for f in found] == ["alternation", "picture", "told"]
+    assert [f["setup_states"] for f in found] == [2, 2, 2]
+    first, *others = ((tmp_path / f"{name}.csv").read_bytes() for name in "abc")
+    assert others == [first, first]
+    track = read_track(tmp_path / "a.csv")
+    assert set(track.light) == {"left", "right"}
+    assert np.all(track.time_s % 60 == 0)
     assert main(base[:2]) == 2
     assert "--anchor X,Y" in capfd.readouterr().err
 
 
+def test_path_needs_no_word_on_lamps_that_are_called_dark(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 20)
+    base = ["track", str(run / "frames"), "--anchor", "159.5,220", "--px-per-cm", "10", "--json"]
+    assert main([*base, "-o", str(tmp_path / "a.csv")]) == 0
+    assert main([*base, "-o", str(tmp_path / "b.csv"), "--light-from", "dark"]) == 0
+    assert json.loads(capfd.readouterr().out.splitlines()[1])["lights"].keys() == {"dark"}
+    a, b = read_track(tmp_path / "a.csv"), read_track(tmp_path / "b.csv")
+    assert np.array_equal(a.points_cm, b.points_cm)
+
+
 def test_film_gives_what_its_pictures_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     film = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, SIZE)
-    for i in range(40):
-        film.write(picture(sway(i), "dark"))
+    for i in range(50):
+        film.write(picture(sway(i), "dark", number=i))
     film.release()
     monkeypatch.chdir(tmp_path)
-    options = ["--anchor", "79.5,110", "--px-per-cm", "5", "--frames", "10:30", "-q"]
+    options = ["--anchor", "159.5,220", "--px-per-cm", "10", "--frames", "5:50", "-q"]
     assert main(["track", "film.avi", *options]) == 0
     track = read_track(tmp_path / "track.csv")  # the default output
-    assert track.time_s.tolist() == [300.0 * i for i in range(10, 30)]
-    expected = np.array([(sway(i) - 79.5) / 5.0 for i in range(10, 30)])
-    assert np.abs(track.points_cm[:, 9, 0] - expected).max() < 0.6
+    assert track.time_s.tolist() == [300.0 * i for i in range(5, 50)]
+    assert set(track.light) == {"dark"}
+    near(track.points_cm[:, 9], tips(list(range(5, 50))))
+
+
+def test_a_frame_without_points_has_no_row(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", 10, empty=4, torn=(8,))
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "-q", "--overlays", str(tmp_path / "seen")]) == 0
+    assert read_track(tmp_path / "t.csv").time_s.tolist() == [300.0 * i for i in range(10) if i not in (4, 8)]
+    with (tmp_path / "seen" / "readings.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["index"] for row in rows] == [str(i) for i in range(10)]
+    assert rows[4]["outcome"] == "no_stem"
+    assert rows[8]["outcome"] == "bad_picture"
+    assert "cut short" in rows[8]["reason"]
+    assert rows[4]["tip_x_px"] == rows[4]["uncertainty10_mm"] == rows[4]["folded"] == ""
+    assert rows[5]["outcome"] == "ok"
+    assert float(rows[5]["uncertainty10_mm"]) > 0.0
+    assert abs(float(rows[5]["tip_y_px"]) - 70.0) < 6.0
+    assert not (tmp_path / "seen" / "00008_0008.jpg").exists()
+
+
+def test_a_covariate_of_the_same_name_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 10)
+    table = (run / "frames.csv").read_text()
+    (run / "frames.csv").write_text(table.replace("temperature_c", "quality"))
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv")]) == 2
+    assert "frames.csv has a column `quality`" in capfd.readouterr().err
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--method", "paper", "-q"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -198,8 +233,23 @@ def test_film_gives_what_its_pictures_give(tmp_path: Path, monkeypatch: pytest.M
         (["--window", "1,2,3"], "--window: `1,2,3` is not 4 numbers"),
         (["--anchor", "nan,1"], "--anchor: `nan,1` is not 2 numbers"),
         (["--px-per-cm", "-3"], "--anchor or --px-per-cm: Expected `float` > 0.0"),
-        (["--reduction", "3"], "settings: Invalid enum value 3"),
-        (["--theta-1", "2"], "settings: Expected `float` < 1.0"),
+        (["--method", "paper", "--reduction", "3"], "--reduction: Invalid enum value 3"),
+        (["--method", "paper", "--theta-1", "2"], "--theta-1: Expected `float` < 1.0"),
+        (["--widest-stem-cm", "0"], "--widest-stem-cm: Expected `float` > 0.0"),
+        (["--window", "1,2,3,90000"], "--window: Expected `float` <= 20000.0"),
+        (["--theta-1", "0.2"], "--theta-1: is an option of --method paper, not of --method path"),
+        (["--theta-2-px", "30"], "--theta-2-px: is an option of --method paper"),
+        (["--reduction", "1"], "--reduction: is an option of --method paper"),
+        (["--smallest-component", "0"], "--smallest-component: is an option of --method paper"),
+        (["--method", "paper", "--points", "y"], "--points: is an option of --method path, not of --method paper"),
+        (["--method", "paper", "--widest-stem-cm", "1"], "--widest-stem-cm: is an option of --method path"),
+        (["--method", "paper", "--hidden-base-cm", "1"], "--hidden-base-cm: is an option of --method path"),
+        (["--method", "paper", "--below-anchor-cm", "1"], "--below-anchor-cm: is an option of --method path"),
+        (["--points", "z"], "--points"),
+        (["--jobs", "0"], "--jobs"),
+        (["--film", "seen.gif"], "--film: seen.gif must end with .mp4 or .avi"),
+        (["--contact", "seen.mp4"], "--contact: seen.mp4 must end with .png"),
+        (["--contact", "a.png", "--overlays", "a.png"], "must name different places"),
         (["--frames", "7"], "--frames: `7` is not A:B"),
         (["--frames", "90:"], "--frames: no frame between 90:"),
         (["--light-from", "lfet"], "--light-from: `lfet`; did you mean `left`?"),
@@ -227,7 +277,9 @@ def test_missing_input_and_single_picture_are_told(tmp_path: Path, capfd: pytest
     assert "a single picture" in capfd.readouterr().err
 
 
-def test_an_error_midway_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_midway_leaves_only_what_it_can_go_on_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = make_run(tmp_path / "run")
     frames = sources.RunSource.frames
 
@@ -239,8 +291,14 @@ def test_an_error_midway_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(sources.RunSource, "frames", broken)
     before = sorted(tmp_path.iterdir())
-    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--overlays", str(tmp_path / "seen")]) == 130
-    assert sorted(tmp_path.iterdir()) == before
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--overlays", str(tmp_path / "seen")]
+    assert main(command) == 130
+    assert "8 of 12 frames are kept" in capfd.readouterr().err
+    assert sorted(tmp_path.iterdir()) == sorted([*before, tmp_path / ".t.csv.part"])
+    monkeypatch.undo()
+    assert main(command) == 0
+    assert "going on after 8 of 12 frames" in capfd.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "seen", "t.csv"]
 
 
 def test_version_and_bare_command(capfd: pytest.CaptureFixture[str]) -> None:

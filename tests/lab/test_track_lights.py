@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flora_common.errors import BadInput
-from flora_lab.lights import light_in_picture, parse_rule
+from flora_lab.lights import ToldRule, light_in_picture, parse_rule, where_lamps_alternate
 
 BLACK = np.zeros((60, 100, 3), dtype=np.uint8)
 
@@ -18,17 +18,39 @@ def lit(*columns: slice, rows: int = 10) -> np.ndarray:
     return picture
 
 
+def told(text: str) -> ToldRule:
+    rule = parse_rule(text)
+    assert isinstance(rule, ToldRule)
+    return rule
+
+
 def test_word_holds_for_every_frame() -> None:
     for light in ("left", "right", "dark", "both"):
-        rule = parse_rule(light)
-        assert {rule(i, BLACK) for i in range(3)} == {light}
+        assert {told(light)(i) for i in range(3)} == {light}
+
+
+def test_words_that_need_the_pictures_stay_words() -> None:
+    assert (parse_rule("auto"), parse_rule("picture")) == ("auto", "picture")
 
 
 def test_spans_hold_their_ends() -> None:
-    rule = parse_rule("left:0-46, right:47-93")
-    assert [rule(i, BLACK) for i in (0, 46, 47, 93)] == ["left", "left", "right", "right"]
+    rule = told("left:0-46, right:47-93")
+    assert [rule(i) for i in (0, 46, 47, 93)] == ["left", "left", "right", "right"]
     with pytest.raises(BadInput, match="no span holds frame 94"):
-        rule(94, BLACK)
+        rule(94)
+
+
+def test_lamps_are_believed_where_both_are_seen_to_shine() -> None:
+    alike = dict(enumerate([0, 0, 0, 1, 1, 1]))
+    seen = dict(enumerate(["left", "left", "both", "right", "right", "dark"]))
+    assert where_lamps_alternate(seen, alike) == dict(enumerate(["left"] * 3 + ["right"] * 3))
+
+
+def test_a_bright_thing_on_one_side_is_no_lamp() -> None:
+    alike = dict(enumerate([0, 0, 0, 0, 1, 1]))
+    seen = dict(enumerate(["right", "right", "left", "right", "dark", "dark"]))
+    assert set(where_lamps_alternate(seen, alike).values()) == {"dark"}
+    assert where_lamps_alternate({}, {}) == {}
 
 
 @pytest.mark.parametrize(

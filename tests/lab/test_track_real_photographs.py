@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +11,17 @@ import pytest
 from flora_common.runs import CameraSection
 from flora_common.tracks import read_track
 from flora_common.vision.paper import PaperSettings, PaperTracker
-from flora_lab import sources, tracking
+from flora_lab import sources
 from flora_lab.lights import parse_rule
 from flora_lab.main import main
+from flora_lab.track import learning
+from flora_lab.track.pool import Pool
+from flora_lab.track.readings import Span
+from real_photographs import BEAN, FOLDED, STALK, independent_apex_px
 
-DATA = Path(os.environ.get("FLORA_SHARED", Path(__file__).parents[3] / "shared")) / "data"
-BEAN = DATA / "flora-robotica-bean"
-STALK = DATA / "plant-tracer" / "circumnutation_20190712.mp4"
-FOLDED = DATA / "plant-tracer" / "legacy_gravitropism_sample.mov"
-
+PAPER = ["--method", "paper"]
 BEAN_PLACE = ["--anchor", "361,335", "--px-per-cm", "20", "--light-from", "left:0-46,right:47-93"]
 BEAN_WINDOW = ["--window", "300,200,420,335"]
-
-
-def needs(path: Path) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is not on this machine")
 
 
 def summary_of(capfd: pytest.CaptureFixture[str], out: Path, *arguments: str) -> dict:
@@ -40,9 +34,9 @@ def tell(capfd: pytest.CaptureFixture[str], text: str) -> None:
         print(f"\n  {text}", end="")
 
 
-@needs(BEAN)
+@BEAN.needed
 def test_bean_tip_goes_to_the_lit_side(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    found = summary_of(capfd, tmp_path / "t.csv", str(BEAN), *BEAN_PLACE, *BEAN_WINDOW)
+    found = summary_of(capfd, tmp_path / "t.csv", str(BEAN.path), *PAPER, *BEAN_PLACE, *BEAN_WINDOW)
     assert (found["frames"], found["outcomes"]) == (94, {"ok": 94})
     assert found["mean_quality"] > 0.98
     x = 361 + read_track(tmp_path / "t.csv").points_cm[:, 9, 0] * 20
@@ -54,14 +48,25 @@ def test_bean_tip_goes_to_the_lit_side(tmp_path: Path, capfd: pytest.CaptureFixt
     assert y[-1] < y[0] - 15  # it grew
 
 
-@needs(BEAN)
+@BEAN.needed
 def test_bean_lamps_are_told_from_the_pictures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    found = summary_of(capfd, tmp_path / "t.csv", str(BEAN), *BEAN_PLACE[:4], *BEAN_WINDOW, "--light-from", "picture")
-    assert found["lights"] == {"left": 47, "right": 47}
-    assert read_track(tmp_path / "t.csv").light == ("left",) * 47 + ("right",) * 47
+    for name, rule in (("alternation", []), ("picture", ["--light-from", "picture"])):
+        place = [*PAPER, *BEAN_PLACE[:4], *BEAN_WINDOW, *rule]
+        found = summary_of(capfd, tmp_path / f"{name}.csv", str(BEAN.path), *place)
+        assert (found["lights"], found["lights_from"]) == ({"left": 47, "right": 47}, name)
+        assert read_track(tmp_path / f"{name}.csv").light == ("left",) * 47 + ("right",) * 47
 
 
-@needs(BEAN)
+@STALK.needed
+@FOLDED.needed
+def test_films_without_lamps_are_dark(tmp_path: Path) -> None:
+    for film in (STALK.path, FOLDED.path):  # both have something bright on one side
+        source = sources.open_source(film)
+        found = learning.sort_frames(source, Span(), "auto", Pool(1), path=True)
+        assert set(found.lights.values()) == {"dark"}
+
+
+@BEAN.needed
 def test_bean_without_window_or_at_an_eighth_is_lost(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     good = read_tip(tmp_path / "good.csv", capfd, *BEAN_WINDOW)
     whole = read_tip(tmp_path / "whole.csv", capfd)
@@ -75,23 +80,19 @@ def test_bean_without_window_or_at_an_eighth_is_lost(tmp_path: Path, capfd: pyte
 
 
 def read_tip(out: Path, capfd: pytest.CaptureFixture[str], *options: str) -> np.ndarray:
-    found = summary_of(capfd, out, str(BEAN), *BEAN_PLACE, *options)
+    found = summary_of(capfd, out, str(BEAN.path), *PAPER, *BEAN_PLACE, *options)
     tell(capfd, f"bean {' '.join(options) or '(no window)'}: {found['outcomes']}, quality {found['mean_quality']:.2f}")
     return read_track(out).points_cm[:, 9]
 
 
-@needs(STALK)
+@STALK.needed
 def test_stalk_agrees_with_the_independent_apex_track(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     place = ["--anchor", "123,170", "--px-per-cm", "24", "--interval-s", "120"]
-    found = summary_of(capfd, tmp_path / "t.csv", str(STALK), *place, "--window", "0,0,230,115")
+    found = summary_of(capfd, tmp_path / "t.csv", str(STALK.path), *PAPER, *place, "--window", "0,0,230,115")
     assert (found["frames"], found["readings"]) == (296, 296)
     points = read_track(tmp_path / "t.csv").points_cm
     x, y = 123 + points[:, 9, 0] * 24, 170 - points[:, 9, 1] * 24
-    with (STALK.parent / "circumnutation_20190712_trackpoints.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    px = 0.208153 * 2  # mm per px of the film: the apex track was made on a canvas of twice its size, y up
-    apex_x = np.array([float(r["Apex x (mm)"]) for r in rows]) / px
-    apex_y = 240 - np.array([float(r["Apex y (mm)"]) for r in rows]) / px
+    apex_x, apex_y = independent_apex_px().T
     rms = float(np.sqrt(np.mean((x - apex_x) ** 2 + (y - apex_y) ** 2)))
     bias = (float(np.mean(x - apex_x)), float(np.mean(y - apex_y)))
     left = float(np.sqrt(np.mean((x - apex_x - bias[0]) ** 2 + (y - apex_y - bias[1]) ** 2)))
@@ -106,13 +107,14 @@ def test_stalk_agrees_with_the_independent_apex_track(tmp_path: Path, capfd: pyt
         assert abs(int(np.argmax(x[near])) - 15) <= 1
 
 
-@needs(FOLDED)
+@FOLDED.needed
 def test_folded_stalk_is_cut_short_by_the_row_means(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source = sources.open_source(FOLDED)
+    source = sources.open_source(FOLDED.path)
     camera = CameraSection((432.0, 264.0), 40.0, *source.size_px)
     settings = PaperSettings(reduction=1, window_px=(450.0, 100.0, 600.0, 264.0))
-    span, light_of = tracking.Span(0, 83), tracking.LightOf(parse_rule("dark"))
-    setup = tracking.setup_for(source, [], settings, light_of, span)
+    span = Span(0, 83)
+    frames = learning.sort_frames(source, span, parse_rule("dark"), Pool(1), path=False)
+    setup = learning.paper_setup(source, [], settings, frames).setup
     assert isinstance(setup, dict)
     follow = PaperTracker(setup["dark"], camera, settings)
     worst, twice, quality = [], [], []

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -138,6 +141,51 @@ def test_pictures_that_are_there_are_not_photographed_again_unasked(
     said = capsys.readouterr().err
     assert "already holds 1 pictures; --again sets them aside and takes new ones" in said
     assert said.count("\n") == 1
+
+
+@pytest.fixture
+def read_only(config: Path) -> Iterator[Path]:
+    """The configuration of a run folder on a disk that cannot be written."""
+    run = config.parent / "run"
+    content = {path.relative_to(run): path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(run)], capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip(f"needs to mount a tmpfs: {mounted.stderr.decode().strip()}")
+    try:
+        for path, data in content.items():
+            (run / path).parent.mkdir(exist_ok=True)
+            (run / path).write_bytes(data)
+        subprocess.run(["mount", "-o", "remount,ro", str(run)], check=True)
+        yield config
+    finally:
+        subprocess.run(["umount", "-l", str(run)], check=True)
+
+
+def test_pictures_on_a_read_only_disk_cannot_be_set_aside(read_only: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "--again", "--config", str(read_only)]) == 1
+
+    said = capsys.readouterr().err
+    assert said == (
+        f"flora-stem calibrate: {read_only.parent}/run/background: the earlier pictures cannot be set aside "
+        "(Read-only file system); see that the folder can be written\n"
+    )
+
+
+@pytest.mark.parametrize("call", ["mkdir", "rename"])
+def test_pictures_that_cannot_be_set_aside_are_one_line_and_status_1(
+    config: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, call, refuse)
+        assert main(["calibrate", "--again", "--config", str(config)]) == 1
+
+    said = capsys.readouterr().err
+    assert "the earlier pictures cannot be set aside (Permission denied)" in said
+    assert said.count("\n") == 1
+    assert (config.parent / "run" / "background" / "left-1.jpg").read_bytes() == b"x"
 
 
 @pytest.mark.parametrize("arguments", [["--each", "0"], ["--each", "x"], ["--timeout", "0"], ["--timeout", "inf"]])

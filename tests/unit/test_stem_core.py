@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import msgspec
@@ -15,10 +16,11 @@ from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
 from flora_common.tracks import read_track
 from flora_common.vision.picture import Picture
-from flora_stem.background import Background
-from flora_stem.core import NO_BACKGROUND, Answer, StemCore, StemSection
+from flora_stem.background import NO_BACKGROUND, Background
+from flora_stem.core import Answer, StemCore
 from flora_stem.main import FrameReader, Track, resumed, run_identity
 from flora_stem.record import RECORD_FILE, StemRecord, last_track_row, read_record, write_record
+from flora_stem.section import StemSection
 
 WIDTH, HEIGHT = 320, 240
 CAMERA = CameraSection(anchor_px=(160.0, 220.0), px_per_cm=10.0, width_px=WIDTH, height_px=HEIGHT)
@@ -45,13 +47,15 @@ def jpeg(picture: Picture) -> bytes:
 class Box:
     """A run folder and the parts of the service, started again at will."""
 
+    METHOD: Literal["path", "paper"] = "paper"
+
     def __init__(self, folder: Path) -> None:
         self.run = RunFolder(folder / "run")
         self.state = folder / "state"
         for path in (self.run.frames, self.run.background, self.state):
             path.mkdir(parents=True)
         self.run.run_toml.write_text(run_file_text(RUN_FILE))
-        self.section = StemSection()
+        self.section = StemSection(method=self.METHOD)
         self.now_ms = 0.0
         self.start()
 
@@ -59,18 +63,17 @@ class Box:
         record = read_record(self.state / RECORD_FILE, run=run_identity(self.run, RUN_FILE))
         self.track = Track(self.run)
         self.core = StemCore(
-            CAMERA,
-            self.section,
+            self.section.method,
             resumed(record, self.run, RUN_FILE),
             read=FrameReader(self.run, RUN_FILE, self.section),
             now_ms=lambda: self.now_ms,
         )
-        self.background = Background(self.run, CAMERA, self.section.paper.reduction, self.state / "setup.npz")
+        self.background = Background(self.run, CAMERA, self.section, self.state / "setup.npz")
         self.look()
 
     def look(self) -> None:
         if self.background.refresh():
-            self.core.use(self.background.setup, self.background.reason)
+            self.core.use(self.background.finder, self.background.reason)
 
     def calibrate(self) -> None:
         for name in ("left-1", "right-1", "dark-1"):
@@ -338,20 +341,22 @@ def test_the_last_row_of_a_track_with_damaged_lines(tmp_path: Path) -> None:
     row = ",".join(["300.000", "left", *(str(float(i)) for i in range(20))])
     file.write_text(f"header\n{row}\n\x00\x00\x00\n600.0,left\n")
 
-    assert last_track_row(file) == (300.0, (18.0, 19.0))
+    found = last_track_row(file)
+    assert found is not None
+    assert (found[0], found[1].ravel().tolist()) == (300.0, [float(i) for i in range(20)])
 
 
 # Background pictures
 
 
 def test_matrices_are_made_anew_when_the_folder_changes_and_kept_for_the_next_start(box: Box) -> None:
-    assert box.background.setup is not None
-    assert (box.background.setup.pictures, box.background.from_cache) == (3, False)
+    assert box.background.finder is not None
+    assert (box.background.pictures, box.background.from_cache) == (3, False)
     assert not box.background.refresh()
 
     (box.run.background / "both-1.jpg").write_bytes(jpeg(empty()))
     assert box.background.refresh()
-    assert box.background.setup.pictures == 4
+    assert box.background.pictures == 4
 
     box.start()
     assert box.background.from_cache

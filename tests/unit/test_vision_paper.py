@@ -16,6 +16,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision import paper
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.picture import decode_picture
+from flora_common.vision.reading import OUTCOMES, bad_picture
 from flora_common.vision.setup import from_pictures
 
 CAMERA = CameraSection((819.5, 1100.0), 18.0)
@@ -266,7 +267,7 @@ def test_random_pictures_give_finite_stems(picture: np.ndarray, background: np.n
     )
     for _ in range(2):
         reading = follow.read(picture)
-        assert reading.outcome in paper.OUTCOMES
+        assert reading.outcome in OUTCOMES
         assert 0.0 <= reading.quality <= 1.0
         if reading.points_cm is None:
             assert reading.outcome == "no_stem"
@@ -298,5 +299,5 @@ def test_wrong_size_setup_and_empty_window_are_told() -> None:
 
 
 def test_bad_picture_is_an_outcome_without_a_stem() -> None:
-    reading = paper.bad_picture("x.jpg: is empty (0 bytes)")
+    reading = bad_picture("x.jpg: is empty (0 bytes)")
     assert (reading.outcome, reading.points_cm, reading.quality) == ("bad_picture", None, 0.0)

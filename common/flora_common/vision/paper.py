@@ -24,7 +24,6 @@ Where the text leaves a choice, this is what is done here:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 import cv2
@@ -37,17 +36,10 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, Px
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.picture import Picture, Reduction, checked_array, reduced_size
+from flora_common.vision.reading import JUMPED, NO_STEM, OK, TOUCHES_EDGE, StemReading
 from flora_common.vision.setup import SetupMatrices, green
 
 Mask = npt.NDArray[np.bool_]
-
-OK: Final = "ok"
-NO_STEM: Final = "no_stem"
-JUMPED: Final = "jumped"
-TOUCHES_EDGE: Final = "touches_edge"
-BAD_PICTURE: Final = "bad_picture"
-OUTCOMES: Final = (OK, NO_STEM, JUMPED, TOUCHES_EDGE, BAD_PICTURE)
-"""Names of what can come of a picture. Those who read them must expect further ones."""
 
 # Green values are whole 255ths held as float32: 51/255 against theta_1 = 0.2 must come out as a tie, not by rounding.
 _TIE: Final = 1e-6
@@ -76,34 +68,6 @@ class PaperSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     window_px: tuple[Px, Px, Px, Px] | None = None
     smallest_component_px: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
     jump_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StemReading:
-    """What came of one picture.
-
-    Attributes:
-        outcome: one of :data:`OUTCOMES`.
-        quality: share 0..1 of the ten heights that have stem pixels within theta_2; 0 without a stem.
-        points_cm: shape (10, 2), finite; anchor (0, 0) first, tip last, x right, y up. None without a stem.
-        tip_px: the tip in px of the full picture, x right, y down. None without a stem.
-        tip_choice: ``c`` (furthest from the anchor) or ``h`` (highest).
-        stem_pixels: size of the set P, in px of the reduced picture.
-        reason: one clause for people where the outcome is not ``ok``.
-    """
-
-    outcome: str
-    quality: float = 0.0
-    points_cm: FloatArray | None = None
-    tip_px: tuple[float, float] | None = None
-    tip_choice: Literal["c", "h"] | None = None
-    stem_pixels: int = 0
-    reason: str = ""
-
-
-def bad_picture(reason: str) -> StemReading:
-    """The reading of a picture that could not be used."""
-    return StemReading(BAD_PICTURE, reason=reason)
 
 
 class PaperTracker:
@@ -190,7 +154,15 @@ class PaperTracker:
         points_cm = (smooth(raw) - raw[0]) * np.array([1.0, -1.0]) / self.camera.px_per_cm + 0.0
         outcome, reason = self._judge(int(row[index]), int(column[index]), tip, previous)
         self.tip_px = tip
-        return StemReading(outcome, float(seen.mean()), points_cm, tip, choice, int(row.size), reason)
+        return StemReading(
+            outcome,
+            float(seen.mean()),
+            points_cm,
+            tip,
+            reason,
+            stem_pixels=int(row.size),
+            tip_choice=choice,
+        )
 
     def _judge(
         self, row: int, column: int, tip: tuple[float, float], previous: tuple[float, float] | None

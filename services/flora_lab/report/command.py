@@ -11,7 +11,7 @@ import typer
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes, write_text
 from flora_common.runs import RunFolder
-from flora_lab.report import figures, strip
+from flora_lab.report import strip
 from flora_lab.report.page import page
 from flora_lab.report.summary import RunSummary, summarise
 
@@ -31,6 +31,9 @@ def report(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
 ) -> None:
     """One self-contained page about a run: pictures, curves, the paper's fitness, collisions."""
+    # matplotlib takes a third of a second to import, which the other subcommands shall not pay
+    from flora_lab.report import figures  # noqa: PLC0415
+
     folder = RunFolder(run)
     notes = [_note(text) for text in note or []]
     summary = summarise(folder)

@@ -1,0 +1,192 @@
+"""Whether a picture shows the setup at all: black, blurred, foreign, moved or torn pictures do not.
+
+The evidence of plant is freed of slow deviations from the empty setup, and so a picture of nothing, or one that has
+moved by a centimetre, still leaves shapes that may pass for a stem. But the fine structure of the board, of lamps, pot
+and rim is then gone from its place. So the structure of the picture is held against that of the empty setup, square
+by square, where the setup has most of it: the correlation says whether it is the same, the gain whether it is as clear.
+Noise is no structure: a bare board in a dim box has none to go by, and is not held against any picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.vision.lamp_states import COARSE, EmptySetup, coarse_code
+from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.picture import Picture
+
+Float32Array = npt.NDArray[np.float32]
+
+REDUCED: Final = 2 * COARSE
+FINE, BROAD = 1.0, 4.0
+"""Structure is what lies between these two, standard deviations in px of the reduced picture."""
+MOST_SIDE, LEAST_SIDE, ACROSS = 16, 6, 9
+"""Of the squares, px of the reduced picture: so many across its shorter side, where that is not too many or too few."""
+TELLING: Final = 0.35
+"""Share of the squares that is looked at: those with most structure. In the others there is noise."""
+LEAST_STRUCTURE: Final = 0.5
+"""Standard deviation in code units: a setup with less has none to go by."""
+GRAIN: Final = 0.7
+"""What is finer than this standard deviation, px, is taken for noise; edges have little of it."""
+NOISE_PASSES: Final = 0.127
+"""Of white noise: its power between ``FINE`` and ``BROAD``, over its power below ``GRAIN`` (from the kernels)."""
+OVER_NOISE: Final = 4.0
+"""Power of a telling square, over that of the noise in it."""
+MOST_NOISE: Final = 0.9
+"""Share of a square's power that is put down to noise at most."""
+LEAST_SQUARES: Final = 6
+CLIP: Final = 40.0
+BANDS, LEAST_OF_BAND = 5, 4
+"""Level bands that a picture is cut into, and how many telling squares one needs to be judged by itself."""
+SAME: Final = 0.5
+"""Correlation from which a square counts as the setup's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """How much of the empty setup's structure a picture has.
+
+    Attributes:
+        correlation: median over the squares, -1..1.
+        gain: median over the squares of how strong the structure is; 1 as in the empty setup, less where it is blurred.
+        elsewhere: share of the squares that show something else.
+        worst_band: the lowest median of the correlation over a level band of the picture. A JPEG file whose bits were
+            flipped goes on moved, or tinted, from a row on.
+    """
+
+    correlation: float = 1.0
+    gain: float = 1.0
+    elsewhere: float = 0.0
+    worst_band: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What a picture must at least have in common with the empty setup, and at most may not.
+
+    Attributes:
+        changed: share of the picture away from the plant that differs.
+        correlation, worst_band, gain, elsewhere: as in :class:`Likeness`.
+    """
+
+    changed: float
+    correlation: float
+    worst_band: float
+    gain: float
+    elsewhere: float
+
+    def unmet(self, changed: float, likeness: Likeness) -> str:
+        """Why a picture shows nothing that could be believed, one clause; empty where it does."""
+        if changed > self.changed:
+            return f"{changed:.1%} of the picture differ from the empty setup; light, exposure or camera changed"
+        if likeness.correlation < self.correlation or likeness.elsewhere > self.elsewhere:
+            return (
+                f"{likeness.elsewhere:.0%} of the setup cannot be recognised; camera moved, or the picture is damaged"
+            )
+        if likeness.worst_band < self.worst_band:
+            return "part of the setup cannot be recognised; something stands before it, or the picture is torn"
+        if likeness.gain < self.gain:
+            return f"fine detail has {likeness.gain:.0%} of its contrast; dark, blurred or fogged"
+        return ""
+
+
+USUAL: Final = Demands(changed=0.01, correlation=0.85, worst_band=0.75, gain=0.68, elsewhere=0.25)
+OF_THE_FIRST: Final = Demands(changed=0.006, correlation=0.93, worst_band=0.85, gain=0.8, elsewhere=0.15)
+OF_FRAMES: Final = Demands(changed=0.15, correlation=-1.0, worst_band=-1.0, gain=0.0, elsewhere=1.0)
+"""A setup learnt from the plant's own pictures has ghosts of it."""
+
+
+class SetupLikeness:
+    """Holds pictures against the empty setup.
+
+    Args:
+        setup: its lamp states.
+        anchor_y_px: where the plant stands. Below, leaves may hang before the pot, and are not looked for.
+    """
+
+    def __init__(self, setup: EmptySetup, anchor_y_px: float) -> None:
+        self._states = []
+        for state in setup.states:
+            squares, noise = _structure(state.coarse)
+            power = (squares**2).mean(axis=1)
+            order = np.argsort(-power, kind="stable")[: max(LEAST_SQUARES, round(TELLING * len(power)))]
+            order = order[power[order] > np.maximum(LEAST_STRUCTURE**2, OVER_NOISE * noise[order])]
+            if len(order) >= LEAST_SQUARES:
+                self._states.append((order, squares[order], power[order]))
+        width, height = setup.size_px
+        self._side, self._rows, self._columns = _grid(max(1, height // REDUCED), max(1, width // REDUCED))
+        self._rows_above = int(anchor_y_px // (self._side * REDUCED))
+
+    def of(self, picture: Picture, evidence: Evidence) -> Likeness:
+        """Likeness to the lamp state that the picture is most like; full likeness where the setup has no structure.
+
+        Args:
+            picture: shape (height, width, 3), uint8, of the setup's size.
+            evidence: where it shows plant, which hides the setup.
+        """
+        if not self._states:
+            return Likeness()
+        squares, noise = _structure(coarse_code(picture))
+        found = []
+        hidden = self._hidden(evidence)
+        for order, empty, power in self._states:
+            here = squares[order]
+            common = (here * empty).mean(axis=1)
+            own = (here**2).mean(axis=1)
+            own -= np.minimum(noise[order], MOST_NOISE * own)
+            correlation = np.minimum(1.0, common / np.sqrt(own * power + 1e-6))
+            gain = common / power
+            elsewhere = float((correlation < SAME).mean())
+            bare = ~hidden[order] & (order // self._columns < self._rows_above)
+            worst = self._worst_band(correlation[bare], order[bare])
+            found.append(Likeness(float(np.median(correlation)), float(np.median(gain)), elsewhere, worst))
+        # most squares look alike under either lamp: those that differ tell the state
+        return max(found, key=lambda one: one.correlation + one.worst_band - one.elsewhere)
+
+    def _hidden(self, evidence: Evidence) -> npt.NDArray[np.bool_]:
+        """For each square, whether plant stands before it."""
+        out = np.zeros((self._rows, self._columns), dtype=np.bool_)
+        y, x = np.nonzero(evidence.plant[::REDUCED, ::REDUCED])
+        side_px = self._side * REDUCED
+        row = (y * REDUCED + evidence.origin_px[1]) // side_px
+        column = (x * REDUCED + evidence.origin_px[0]) // side_px
+        inside = (row < self._rows) & (column < self._columns)
+        out[row[inside], column[inside]] = True
+        return out.ravel()
+
+    def _worst_band(self, correlation: Float32Array, order: npt.NDArray[np.intp]) -> float:
+        band = (order // self._columns) * BANDS // self._rows
+        worst = 1.0
+        for k in range(BANDS):
+            some = correlation[band == k]
+            if some.size >= LEAST_OF_BAND:
+                worst = min(worst, float(np.median(some)))
+        return worst
+
+
+def _structure(coarse: Picture) -> tuple[Float32Array, Float32Array]:
+    """Squares of structure, shape (squares, pixels of each), and the power of noise in each."""
+    half = (max(1, coarse.shape[1] // 2), max(1, coarse.shape[0] // 2))
+    grey = cv2.resize(np.ascontiguousarray(coarse[..., 1]), half, interpolation=cv2.INTER_AREA).astype(np.float32)
+    fine = cv2.GaussianBlur(grey, (0, 0), FINE) - cv2.GaussianBlur(grey, (0, 0), BROAD)
+    grain = grey - cv2.GaussianBlur(grey, (0, 0), GRAIN)
+    noise = NOISE_PASSES * (_squares(grain) ** 2).mean(axis=1)
+    return _squares(np.clip(fine, -CLIP, CLIP)), noise
+
+
+def _grid(height: int, width: int) -> tuple[int, int, int]:
+    """Side of the squares, px of the reduced picture, and how many rows and columns of them there are."""
+    side = min(height, width, int(np.clip(min(height, width) // ACROSS, LEAST_SIDE, MOST_SIDE)))
+    return side, height // side, width // side
+
+
+def _squares(structure: Float32Array) -> Float32Array:
+    """Shape (squares, pixels of each)."""
+    side, rows, columns = _grid(*structure.shape)
+    whole = structure[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.ascontiguousarray(whole.transpose(0, 2, 1, 3).reshape(rows * columns, side * side))

@@ -1,0 +1,36 @@
+"""Numbers of the path method, in one place."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from flora_common.runs import Px
+
+PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=50.0)]
+
+
+class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[stem.path]``; lengths in cm of the plant's plane.
+
+    Attributes:
+        window_px: the plant is looked for in (x0, y0, x1, y1) px of the full picture; everywhere if None.
+        widest_stem_cm: what is thicker is leaf, never stem.
+        longest_gap_cm: a stem is followed behind a leaf for this far.
+        hidden_base_cm: the lowest part that a rim may hide, or that looks like what is behind it.
+        below_anchor_cm: how far below the anchor's height a stem may hang. Soil and pot lie there.
+        jump_cm, fastest_cm_per_h: a tip that moved by more than the first and the second together allow is reported
+            as ``jumped``.
+        points: whether the ten points are even in height (``y``, the convention of ``track.csv``) or along the stem
+            (``arc``).
+    """
+
+    window_px: tuple[Px, Px, Px, Px] | None = None
+    widest_stem_cm: PositiveCm = 0.6
+    longest_gap_cm: PositiveCm = 5.0
+    hidden_base_cm: PositiveCm = 2.5
+    below_anchor_cm: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 0.0
+    jump_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 1.0
+    fastest_cm_per_h: PositiveCm = 5.0
+    points: Literal["y", "arc"] = "y"

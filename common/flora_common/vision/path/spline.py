@@ -1,0 +1,74 @@
+"""Smoothing splines with known uncertainty.
+
+A cubic B-spline with even knots, whose third differences are held small (P-splines, Eilers and Marx 1996, "Flexible
+smoothing with B-splines and penalties"): where nothing was measured the curve goes on with the curvature that it has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spline:
+    """A curve in the plane over its parameter s.
+
+    Attributes:
+        coefficients: shape (k, 2).
+        covariance: shape (k, k), of the coefficients for a measuring error of 1.
+        knot_step: distance of knots in s.
+        length: s at the end.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    knot_step: float
+    length: float
+
+    def at(self, s: FloatArray) -> FloatArray:
+        """Places, shape (n, 2)."""
+        return np.asarray(basis(s, self.knot_step, len(self.coefficients)) @ self.coefficients, dtype=np.float64)
+
+    def deviation(self, s: FloatArray) -> FloatArray:
+        """Standard deviation per coordinate of :meth:`at`, shape (n,), for a measuring error of 1."""
+        b = basis(s, self.knot_step, len(self.coefficients))
+        variance = np.einsum("ij,jk,ik->i", b, self.covariance, b)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+
+def basis(s: FloatArray, knot_step: float, count: int) -> FloatArray:
+    """Values of the ``count`` cubic B-splines at s, shape (n, count)."""
+    t = np.clip(np.asarray(s, dtype=np.float64) / knot_step, 0.0, count - 3 - 1e-9)
+    first = np.floor(t).astype(int)
+    u = t - first
+    values = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6.0
+    out = np.zeros((len(t), count))
+    rows = np.arange(len(t))
+    for k in range(4):
+        out[rows, first + k] = values[:, k]
+    return out
+
+
+def fit(s: FloatArray, places: FloatArray, weights: FloatArray, *, knot_step: float, roughness: float) -> Spline:
+    """The spline that is near the places and smooth.
+
+    Args:
+        s: shape (n,), from 0, rising.
+        places: shape (n, 2).
+        weights: shape (n,), one over the squared measuring error of each place; 0 leaves it out.
+        knot_step: distance of knots.
+        roughness: standard deviation that third differences of coefficients are believed to have, in units of places.
+    """
+    length = float(s[-1])
+    count = max(4, int(np.ceil(length / knot_step)) + 3)
+    b = basis(s, knot_step, count)
+    third = np.diff(np.eye(count), n=3, axis=0)
+    normal = (b * weights[:, None]).T @ b + (third.T @ third) / roughness**2
+    # a trace of everything keeps the matrix whole where hardly anything was measured
+    normal[np.diag_indices(count)] += 1e-9 * max(1.0, float(normal.trace()))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return Spline(covariance @ ((b * weights[:, None]).T @ places), covariance, knot_step, length)

@@ -1,0 +1,179 @@
+"""Where the stem ends, from the last piece that was seen of it.
+
+Thinning stops half a width short of an end, and bends towards the young leaves round an apex. So the stem is continued
+from the last place with two clean edges by circular arcs of every plausible bend; along each, what looks like stem is
+added up and what does not is taken away. The best arc, cut where its sum is largest, ends at the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.vision.path.chain import Before
+from flora_common.vision.path.curve import STEP_PX, BoolArray, Sampler, Stem, arc_length
+
+LONGEST_CM: Final = 2.5
+BENDS_PER_CM: Final = np.linspace(-0.5, 0.5, 15)
+TURNS_RAD: Final = np.linspace(-0.15, 0.15, 7)
+STEP: Final = 0.5
+"""Along the arcs, px."""
+CLEAR_ERROR_PX: Final = 0.5
+UNCLEAR_ERROR_CM: Final = 0.25
+"""Standard deviations along the stem of an end with two clean edges, and what is added where there are none."""
+APEX_CM: Final = 1.2
+"""A leaf or bud that hides what comes next, and ends this near, hides the apex."""
+FOLLOWED_CM: Final = 1.2
+"""The direction at the safe place is that of this much of the stem below it."""
+CLEAN_RUN: Final = 3
+BOTH_SIDES, ONE_SIDE, ON_LEAF = 1.0, 0.35, 0.8
+HIDDEN_COST: Final = 0.25
+OPEN_COST: Final = 3.0
+BEND_COST_CM: Final = 1.5
+"""For the sharpest change of bend: where nothing tells them apart, the straighter arc is right."""
+STRAIGHT_FREE_CM: Final = 0.3
+"""Among leaves, by so much must another arc be better than the one that just goes on."""
+HOOK_RAD: Final = 0.45
+MOVE_COST: Final = 0.6
+"""Per cm from where the tip was before, up to 1 cm."""
+CLEAR_RIDGE: Final = 12.0
+END_LEVEL: Final = 0.65
+"""The stem ends where the evidence along it falls to this share: it is logarithmic, half of the light lies there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tip:
+    """Where a stem ends.
+
+    Attributes:
+        safe: index of the last point of the line that is sure.
+        places: shape (n, 2), from there to the tip, px.
+        onwards: shape (m, 2), where it would go on if it were longer.
+        open_end: whether the plant ends there; otherwise a leaf hides what comes next.
+        error_px: standard deviation along the stem.
+    """
+
+    safe: int
+    places: FloatArray
+    onwards: FloatArray
+    open_end: bool
+    error_px: float
+
+    @property
+    def carried_on_px(self) -> float:
+        """Length from the last sure place to the tip."""
+        return STEP * len(self.places)
+
+
+def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> Tip:
+    """Follow the stem from its last sure place to its end; where it was before counts for something."""
+    safe = _safe(stem)
+    s = arc_length(stem.line)
+    width = float(stem.width[safe])
+    heading, bend = _heading(stem.line, s, safe, FOLLOWED_CM * px_per_cm)
+    steps = np.arange(STEP, LONGEST_CM * px_per_cm + (s[-1] - s[safe]), STEP)
+    # the first arc just goes on, straightening out as stems do; the others are tried against it
+    grid = np.meshgrid(BENDS_PER_CM / px_per_cm, TURNS_RAD, indexing="ij")
+    bend = float(np.clip(bend, grid[0].min(), grid[0].max()))
+    bends, turns = (np.append(own, v.ravel()) for own, v in zip((0.5 * bend, 0.0), grid, strict=True))
+    angle = heading + turns[:, None] + bends[:, None] * steps[None, :]
+    # and the line itself where it turns more than an arc can: a hook
+    line = _along(stem.line[safe:], s[safe:] - s[safe], steps)
+    if line is not None and np.ptp(line) > HOOK_RAD:
+        angle = np.concatenate([angle, line[None]])
+        bends, turns = np.append(bends, bend), np.append(turns, 0.0)
+    arcs = stem.line[safe] + np.cumsum(STEP * np.stack([np.cos(angle), np.sin(angle)], axis=-1), axis=1)
+    side = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    level = float(np.median(sampler.plant(stem.line[None, max(0, safe - 20) : safe + 1])))
+    gain, there = _gain(arcs, side, width, level, sampler)
+    worth = np.cumsum(STEP * gain / px_per_cm, axis=1)
+    effort = np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]
+    worth -= BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
+    if before is not None:
+        away = np.hypot(arcs[..., 0] - before.line_px[-1, 0], arcs[..., 1] - before.line_px[-1, 1]) / px_per_cm
+        worth -= before.trust * MOVE_COST * np.minimum(away, 1.0)
+    arc, end = (int(k) for k in np.unravel_index(int(np.argmax(worth)), worth.shape))
+    if worth[0].max() > worth[arc, end] - STRAIGHT_FREE_CM:
+        arc, end = 0, int(np.argmax(worth[0]))
+    last = gain[arc, max(0, end - round(width / STEP)) : end + 1]
+    error = CLEAR_ERROR_PX + (1.0 - float(np.clip(last.mean(), 0.0, 1.0))) * UNCLEAR_ERROR_CM * px_per_cm
+    # the plant ends within the next pixels, or the stem goes on where it cannot be told from a leaf
+    more = _still_there(there[arc], end)
+    open_end = _is_open(there[arc], end, width)
+    if not open_end and more * STEP <= APEX_CM * px_per_cm:
+        # young leaves stand round an apex, and seldom above it: it is likely where the plant ends in this direction
+        end, error, open_end = end + more, error + 0.4 * more * STEP, True
+    return Tip(safe, arcs[arc, : end + 1], arcs[arc, end + 1 :], open_end, error)
+
+
+def _along(line: FloatArray, s: FloatArray, steps: FloatArray) -> FloatArray | None:
+    """Direction at each step along a line, rad, and straight on beyond its end; None where it is a point."""
+    if s[-1] < 2.0:
+        return None
+    reach = 3.0
+    here, there = (np.minimum(steps + d, s[-1]) for d in (-reach, reach))
+    back = np.maximum(np.minimum(here, there - reach), 0.0)
+    v = np.stack([np.interp(there, s, line[:, k]) - np.interp(back, s, line[:, k]) for k in range(2)], axis=-1)
+    return np.asarray(np.unwrap(np.arctan2(v[:, 1], v[:, 0])), dtype=np.float64)
+
+
+def _still_there(there: BoolArray, end: int) -> int:
+    """How many steps the plant goes on after one."""
+    nothing = np.flatnonzero(~there[end + 1 :])
+    return int(nothing[0]) if nothing.size else len(there) - end - 1
+
+
+def _is_open(there: BoolArray, end: int, width: float) -> bool:
+    return _still_there(there, end) * STEP < 0.5 * width + 1.0
+
+
+def _safe(stem: Stem) -> int:
+    """The last point of a run of clean ones."""
+    run = np.convolve(stem.clean.astype(int), np.ones(CLEAN_RUN, int), mode="valid") == CLEAN_RUN
+    found = np.flatnonzero(run)
+    if found.size == 0:
+        return max(1, int(0.6 * len(stem.line)))
+    # the light of a leaf beside the stem moves its edges before it hides them
+    back = round(1 * float(stem.width[found[-1]]) / STEP_PX)
+    return max(2, int(found[-1]) + CLEAN_RUN - 1 - back)
+
+
+def _gain(
+    arcs: FloatArray, side: FloatArray, width: float, level: float, sampler: Sampler
+) -> tuple[FloatArray, BoolArray]:
+    """What each place along each arc is worth as stem: 1 with two clean edges, less on a leaf, below 0 for nothing.
+
+    And whether there is plant at all.
+    """
+    offset = np.array([-0.95, -0.8, -0.25, 0.0, 0.25, 0.8, 0.95]) * max(width, 2.0)
+    places = arcs[:, :, None, :] + offset[None, None, :, None] * side[:, :, None, :]
+    shape = places.shape[:-1]
+    flat = places.reshape(shape[0], -1, 2)
+    plant, tone = sampler.plant(flat).reshape(shape), sampler.tone(flat).reshape(shape)
+    inside = plant[..., 2:5].mean(axis=-1)
+    left, right = plant[..., :2].mean(axis=-1) < 0.4 * inside, plant[..., 5:].mean(axis=-1) < 0.4 * inside
+    edges = np.where(left & right, BOTH_SIDES, np.where(left | right, ONE_SIDE, 0.0))
+    middle = tone[..., 2:5].mean(axis=-1)
+    beside = np.stack([tone[..., :2].mean(axis=-1), tone[..., 5:].mean(axis=-1)])
+    ridge = np.maximum(middle - beside.max(axis=0), beside.min(axis=0) - middle)
+    on_leaf = np.clip(ridge / CLEAR_RIDGE, 0.0, 1.0) * (ON_LEAF + HIDDEN_COST) - HIDDEN_COST
+    gain = np.where(edges > 0, np.maximum(edges, on_leaf), on_leaf)
+    there = plant[..., 3] > END_LEVEL * level
+    return np.where(there, gain, -OPEN_COST), np.asarray(there)
+
+
+def _heading(line: FloatArray, s: FloatArray, safe: int, reach_px: float) -> tuple[float, float]:
+    """Direction (rad, x right, y down) of the line at a point, and its bend (rad per px) over the reach below it."""
+    below = min(int(np.searchsorted(s, max(0.0, s[safe] - reach_px))), safe - 2)
+    below = max(0, below)
+    middle = (below + safe) // 2
+    first, second = line[middle] - line[below], line[safe] - line[middle]
+    if not (np.any(first) and np.any(second)):
+        return -np.pi / 2, 0.0
+    a, b = np.arctan2(first[1], first[0]), np.arctan2(second[1], second[0])
+    turn = float((b - a + np.pi) % (2 * np.pi) - np.pi)
+    bend = turn / max(1.0, 0.5 * float(s[safe] - s[below]))
+    return float(b) + 0.25 * bend * float(s[safe] - s[below]), bend

@@ -1,0 +1,1 @@
+"""``flora-lab track``: photographs of a plant in, ``track.csv`` out."""

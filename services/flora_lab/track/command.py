@@ -1,0 +1,193 @@
+"""``flora-lab track``: the order of its work."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import typer
+
+from flora_common import files
+from flora_common.errors import BadInput
+from flora_common.runs import CameraSection
+from flora_common.vision.lamp_states import EmptySetup
+from flora_common.vision.paper import PaperSettings
+from flora_common.vision.path.settings import PathSettings
+from flora_lab.lights import parse_rule
+from flora_lab.sources import FilmSource, FolderSource, RunSource, open_source
+from flora_lab.track import learning, options, screen
+from flora_lab.track.drawing import DrawReadings
+from flora_lab.track.following import follow_frames
+from flora_lab.track.learning import Learnt, Sorted
+from flora_lab.track.methods import Method, PaperMethod, PathMethod
+from flora_lab.track.part_file import PartFile
+from flora_lab.track.pictures import Pictures, Wanted
+from flora_lab.track.pool import Pool
+from flora_lab.track.readings import Span, Summary
+from flora_lab.track.tables import METHOD_COLUMNS, track_text
+
+
+def register(app: typer.Typer) -> None:
+    """Add the subcommand to ``flora-lab``."""
+    app.command("track")(track)
+
+
+def track(
+    input_path: options.InputArgument,
+    *,
+    output: options.OutputOption = Path("track.csv"),
+    force: options.ForceOption = False,
+    method: options.MethodOption = options.MethodName.PATH,
+    jobs: options.JobsOption = None,
+    resume: options.ResumeOption = True,
+    frames: options.FramesOption = ":",
+    anchor: options.AnchorOption = None,
+    px_per_cm: options.ScaleOption = None,
+    window: options.WindowOption = None,
+    interval_s: options.IntervalOption = 300.0,
+    light_from: options.LightOption = "auto",
+    widest_stem_cm: options.WidestOption = None,
+    hidden_base_cm: options.HiddenBaseOption = None,
+    below_anchor_cm: options.BelowAnchorOption = None,
+    points: options.PointsOption = None,
+    reduction: options.ReductionOption = None,
+    theta_1: options.Theta1Option = None,
+    theta_2_px: options.Theta2Option = None,
+    smallest_component: options.SmallestOption = None,
+    overlays: options.OverlaysOption = None,
+    contact: options.ContactOption = None,
+    film: options.FilmOption = None,
+    every: options.EveryOption = None,
+    quiet: options.QuietOption = False,
+    as_json: options.JsonOption = False,
+) -> None:
+    """Find the stem in every photograph and write it as a track.
+
+    A run folder brings anchor, scale, times, lamps and background pictures with it.
+
+    For a folder of pictures or a film give --anchor and --px-per-cm.
+
+    Without background pictures the empty setup is learnt from the frames themselves.
+
+    The same command, given again after it was killed, goes on where it was.
+    """
+    if output.exists() and not force:
+        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
+    if output.is_dir():
+        raise BadInput(f"{output}: is a folder; name a file with -o")
+    wanted = Wanted(overlays, contact, film, every)
+    wanted.check(force=force)
+    if not (math.isfinite(interval_s) and interval_s > 0):
+        raise BadInput(f"--interval-s: {interval_s:g} is not a positive number of seconds")
+    span = options.span_of(frames)
+    rule = parse_rule(light_from)
+    source = open_source(input_path)
+    count = len(span.indices(source.count))
+    if count == 0:
+        raise BadInput(f"--frames: no frame between {frames}; {source.name} has {source.count}, counted from 0")
+    camera = options.camera_of(source, anchor, px_per_cm)
+    settings = options.settings_of(
+        method,
+        source,
+        window=window,
+        path={
+            "widest_stem_cm": widest_stem_cm,
+            "hidden_base_cm": hidden_base_cm,
+            "below_anchor_cm": below_anchor_cm,
+            "points": None if points is None else points.value,
+        },
+        paper={
+            "reduction": reduction,
+            "theta_1": theta_1,
+            "theta_2_px": theta_2_px,
+            "smallest_component_px": smallest_component,
+        },
+    )
+    path = isinstance(settings, PathSettings)
+    if path:
+        _no_clash(source)
+    work = {
+        "input": [source.name, source.fingerprint()],
+        "settings": [method.value, msgspec.to_builtins(settings), msgspec.to_builtins(camera)],
+        "frames": [span.first, span.end, light_from, interval_s],
+    }
+    silent = quiet or as_json
+    with (
+        Pool(options.jobs_of(jobs, count, source.size_px)) as pool,
+        PartFile(output, work, span.indices(source.count), fresh=not resume) as part,
+        screen.progress(silent) as stage,
+    ):
+        resumed = len(part.readings)
+        if resumed and not silent:
+            print(f"going on after {resumed} of {count} frames, from {part.path}", file=sys.stderr)
+        looks = learning.needs_a_look(source, rule, path=path)
+        looked = stage("lamp states", count) if looks else lambda: None
+        lamps = learning.sort_frames(source, span, rule, pool, path=path, on_frame=looked)
+        learnt, how = _prepare(source, camera, settings, lamps, stage)
+        how.memory = part.memory
+        found = stage("stems", count, resumed)
+        rest = Span(span.first + resumed, span.end).take(source.frames())
+        try:
+            for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=interval_s):
+                part.add(reading, how.memory)
+                found()
+        except KeyboardInterrupt:
+            if part.readings and not silent:
+                kept = f"{len(part.readings)} of {count} frames are kept in {part.path}"
+                print(f"{kept}; the same command goes on from there", file=sys.stderr)
+            raise
+        readings = part.readings
+        summary = Summary()
+        for reading in readings:
+            summary.add(reading)
+        if summary.readings == 0:
+            first = f"; the first: {summary.bad[0]}" if summary.bad else ""
+            raise BadInput(
+                f"{source.name}: no stem in any of {summary.frames} frames ({summary.outcome_words()}){first}; "
+                "nothing was written; see --anchor, --window and --overlays"
+            )
+        if wanted.any:
+            sights = (source.obstacle, source.target) if isinstance(source, RunSource) else (None, None)
+            with Pictures(wanted, readings, DrawReadings(camera, *sights)) as pictures:
+                pictures.draw(source, pool, on_picture=stage("pictures", pictures.count))
+                pictures.finish()
+        files.write_text(output, track_text(readings, method_columns=path))
+        part.remove()
+    told = screen.Outcome(source.name, method.value, output, wanted, summary, learnt, lamps, pool.jobs, resumed)
+    screen.tell(told, quiet=quiet, as_json=as_json)
+
+
+def _prepare(
+    source: RunSource | FolderSource | FilmSource,
+    camera: CameraSection,
+    settings: PathSettings | PaperSettings,
+    lamps: Sorted,
+    stage: screen.Stage,
+) -> tuple[Learnt, Method]:
+    """The empty setup, and the method that stands on it."""
+    background = source.folder.background_pictures() if isinstance(source, RunSource) else []
+    learns = stage("empty setup", None)
+    how: Method
+    try:
+        if isinstance(settings, PathSettings):
+            learnt = learning.path_setup(source, background, camera, settings, lamps, on_frame=learns)
+            assert isinstance(learnt.setup, EmptySetup)
+            how = PathMethod(learnt.setup, camera, settings)
+        else:
+            learnt = learning.paper_setup(source, background, settings, lamps, on_frame=learns)
+            assert not isinstance(learnt.setup, EmptySetup)
+            how = PaperMethod(learnt.setup, camera, settings)
+    except BadInput as problem:
+        named = str(problem).startswith(source.name)
+        raise problem if named else BadInput(f"{source.name}: {problem}") from problem
+    return learnt, how
+
+
+def _no_clash(source: RunSource | FolderSource | FilmSource) -> None:
+    covariates: dict[str, Any] = source.rows[0].covariates if isinstance(source, RunSource) else {}
+    for name in METHOD_COLUMNS:
+        if name in covariates:
+            raise BadInput(f"{source.name}: frames.csv has a column `{name}`, which the track needs; rename it")

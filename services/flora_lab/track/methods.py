@@ -1,0 +1,128 @@
+"""The two ways to find a stem behind one face: look at pictures anywhere and in any order, follow them in order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import msgspec
+
+from flora_common.runs import CameraSection, Light
+from flora_common.vision.lamp_states import EmptySetup
+from flora_common.vision.paper import PaperSettings, PaperTracker
+from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.path.tracker import Memory, PathTracker, Sight
+from flora_common.vision.picture import Picture, Reduction
+from flora_common.vision.reading import StemReading
+from flora_common.vision.setup import SetupMatrices
+
+
+class Look(Protocol):
+    """The part of a method that needs no other pictures; can be sent to another process."""
+
+    @property
+    def reduction(self) -> Reduction:
+        """It wants pictures at 1/reduction of their size."""
+        ...
+
+    def __call__(self, picture: Picture) -> Any:
+        """What the picture shows; raises BadPicture."""
+        ...
+
+
+class Method(Protocol):
+    """A method over a sequence.
+
+    Attributes:
+        look: its first part.
+        memory: what it knows from the pictures before, as plain values; may be set, to go on from there.
+    """
+
+    look: Look
+    memory: object
+
+    def follow(self, sight: Any, light: Light, time_s: float) -> StemReading:
+        """The stem in what ``look`` gave; pictures must come in order. Raises BadPicture."""
+        ...
+
+
+class PathLook:
+    """The stateless part of the path method; what a copy in another process needs is made anew there."""
+
+    reduction: Reduction = 1
+
+    def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
+        self._made_of = (setup, camera, settings)
+        self.tracker = PathTracker(setup, camera, settings)
+
+    def __reduce__(self) -> tuple[type[PathLook], tuple[EmptySetup, CameraSection, PathSettings]]:
+        return PathLook, self._made_of
+
+    def __call__(self, picture: Picture) -> Sight:
+        return self.tracker.look(picture)
+
+
+class PathMethod:
+    """The path method.
+
+    Raises:
+        BadInput: setup and camera disagree, or no pixel is left in the window.
+    """
+
+    def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
+        look = PathLook(setup, camera, settings)
+        self.look: Look = look
+        self._tracker = look.tracker
+
+    @property
+    def memory(self) -> object:
+        return None if self._tracker.memory is None else msgspec.to_builtins(self._tracker.memory)
+
+    @memory.setter
+    def memory(self, stored: object) -> None:
+        self._tracker.memory = None if stored is None else msgspec.convert(stored, Memory)
+
+    def follow(self, sight: Sight, light: Light, time_s: float) -> StemReading:
+        return self._tracker.follow(sight, time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperLook:
+    """The published method needs the previous tip for all that comes after decoding, and that is quick."""
+
+    reduction: Reduction
+
+    def __call__(self, picture: Picture) -> Picture:
+        return picture
+
+
+class PaperMethod:
+    """The published method.
+
+    Args:
+        setup: for all lamps, or one for each, at least one.
+
+    Raises:
+        BadInput: the window holds no pixel above the anchor.
+    """
+
+    def __init__(
+        self, setup: Mapping[Light, SetupMatrices] | SetupMatrices, camera: CameraSection, settings: PaperSettings
+    ) -> None:
+        self.look: Look = PaperLook(settings.reduction)
+        self._setup = setup
+        first = setup if isinstance(setup, SetupMatrices) else next(iter(setup.values()))
+        self._tracker = PaperTracker(first, camera, settings)
+
+    @property
+    def memory(self) -> object:
+        return self._tracker.tip_px
+
+    @memory.setter
+    def memory(self, stored: object) -> None:
+        self._tracker.tip_px = msgspec.convert(stored, tuple[float, float] | None)
+
+    def follow(self, sight: Picture, light: Light, time_s: float) -> StemReading:
+        self._tracker.set_setup(self._setup if isinstance(self._setup, SetupMatrices) else self._setup[light])
+        return self._tracker.read(sight)

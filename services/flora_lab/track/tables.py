@@ -1,0 +1,78 @@
+"""The two tables that ``flora-lab track`` writes."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Final
+
+from flora_common.runs import TRACK_HEADER, track_line
+from flora_common.shapes import STEM_POINTS
+from flora_lab.track.readings import Reading
+
+METHOD_COLUMNS: Final = ("quality", "folded", "tip_uncertainty_mm")
+"""Of a method that gives uncertainties; after the covariates."""
+
+READINGS_HEADER: Final = (
+    "index",
+    "file",
+    "time_s",
+    "light",
+    "outcome",
+    "reason",
+    "quality",
+    "folded",
+    "tip_x_px",
+    "tip_y_px",
+    "tip_choice",
+    "stem_pixels",
+    *(f"uncertainty{i}_mm" for i in range(1, STEM_POINTS + 1)),
+)
+
+
+def track_text(readings: Sequence[Reading], *, method_columns: bool) -> str:
+    """``track.csv``: the readings with points, and the covariates that ``frames.csv`` gave them.
+
+    Args:
+        readings: in order of time; those without points are left out.
+        method_columns: add :data:`METHOD_COLUMNS`, numbers like every covariate.
+    """
+    with_points = [(r, r.stem.points_cm) for r in readings if r.stem.points_cm is not None]
+    names = list(with_points[0][0].covariates) if with_points else []
+    lines = [",".join([TRACK_HEADER, *names, *(METHOD_COLUMNS if method_columns else ())])]
+    for r, points_cm in with_points:
+        further = [f"{r.covariates[name]!r}" for name in names]
+        if method_columns and r.stem.uncertainty_mm is not None:
+            further += [f"{r.stem.quality:.3f}", f"{r.stem.folded:d}", f"{r.stem.uncertainty_mm[-1]:.3f}"]
+        lines.append(",".join([track_line(r.time_s, r.light, points_cm), *further]))
+    return "\n".join(lines) + "\n"
+
+
+def readings_text(readings: Sequence[Reading]) -> str:
+    """``readings.csv``: every frame, also those that gave no stem; what is not known is empty."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(READINGS_HEADER)
+    for r in readings:
+        s = r.stem
+        tip = ("", "") if s.tip_px is None else (f"{s.tip_px[0]:.2f}", f"{s.tip_px[1]:.2f}")
+        uncertainty = [""] * STEM_POINTS if s.uncertainty_mm is None else [f"{u:.3f}" for u in s.uncertainty_mm]
+        found = s.points_cm is not None
+        table.writerow(
+            [
+                r.index,
+                r.name,
+                f"{r.time_s:.3f}",
+                r.light,
+                s.outcome,
+                s.reason,
+                f"{s.quality:.3f}",
+                f"{s.folded:d}" if found else "",
+                *tip,
+                s.tip_choice or "",
+                s.stem_pixels if found else "",
+                *uncertainty,
+            ]
+        )
+    return text.getvalue()

@@ -1,0 +1,166 @@
+"""``flora-lab track`` in several processes, interrupted and killed: the track is the same to the last byte."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from drawn_run import make_run
+from flora_lab.main import main
+from flora_lab.track import part_file
+from flora_lab.track.readings import Reading
+
+COMMAND = """
+import os, signal, sys
+from flora_lab.main import main
+from flora_lab.track import part_file, pool
+
+add = part_file.PartFile.add
+
+def add_and_strike(self, reading, memory):
+    add(self, reading, memory)
+    if len(self.readings) == 15:
+        {strike}
+
+part_file.PartFile.add = add_and_strike
+sys.exit(main(sys.argv[1:]))
+"""
+START = """
+import os, signal, sys
+from flora_lab.main import main
+from flora_lab.track import pool
+
+start = pool._Worker.__init__
+
+def start_and_interrupt(self):
+    start(self)
+    os.killpg(0, signal.SIGINT)
+
+pool._Worker.__init__ = start_and_interrupt
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def run_in_process(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Ends only when every process that it started has let go of stdout and stderr."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, start_new_session=True)
+
+
+def same_folders(a: Path, b: Path) -> bool:
+    names = sorted(p.name for p in a.iterdir())
+    return names == sorted(p.name for p in b.iterdir()) and all(
+        (a / n).read_bytes() == (b / n).read_bytes() for n in names
+    )
+
+
+@pytest.mark.parametrize("method", ["path", "paper"])
+def test_any_number_of_processes_gives_the_same(method: str, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", 24, torn=(5,))
+    for jobs in ("1", "3"):
+        options = ["--jobs", jobs, "--overlays", str(tmp_path / f"seen{jobs}"), "--every", "7", "--method", method]
+        assert main(["track", str(run), "-o", str(tmp_path / f"{jobs}.csv"), "-q", *options]) == 0
+    assert (tmp_path / "1.csv").read_bytes() == (tmp_path / "3.csv").read_bytes()
+    assert same_folders(tmp_path / "seen1", tmp_path / "seen3")
+
+
+@pytest.mark.parametrize("method", ["path", "paper"])
+def test_killed_and_started_again_gives_the_same(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 24, background=False, torn=(5,))
+    (tmp_path / "broken").mkdir()
+    whole = ["track", str(run), "-o", str(tmp_path / "whole.csv"), "--method", method]
+    assert main([*whole, "--overlays", str(tmp_path / "seen_whole"), "--every", "9", "-q"]) == 0
+    broken = ["track", str(run), "-o", str(tmp_path / "broken" / "t.csv"), "--method", method]
+    killed = run_in_process(COMMAND.format(strike="os.kill(os.getpid(), signal.SIGKILL)"), *broken, "--jobs", "2")
+    assert killed.returncode == -9
+    assert killed.stderr == ""
+    part = tmp_path / "broken" / ".t.csv.part"
+    assert [p.name for p in part.parent.iterdir()] == [part.name]
+    assert len(part.read_bytes().splitlines()) == 16
+    with part.open("ab") as file:
+        file.write(part.read_bytes().splitlines()[-1][:100])  # a line that was torn
+    assert main([*broken, "--overlays", str(tmp_path / "seen_broken"), "--every", "9"]) == 0
+    assert "going on after 15 of 24 frames" in capfd.readouterr().err
+    assert (tmp_path / "broken" / "t.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    assert same_folders(tmp_path / "seen_whole", tmp_path / "seen_broken")
+    assert not part.exists()
+
+
+def test_interrupted_ends_with_its_workers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 24)
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--jobs", "2"]
+    ended = run_in_process(COMMAND.format(strike="os.killpg(0, signal.SIGINT)"), *command)
+    assert ended.returncode == 130
+    kept, said = ended.stderr.split("\n", 1)
+    assert kept.startswith("15 of 24 frames are kept in ")
+    assert said.strip() == "flora-lab: interrupted"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".t.csv.part", "run"]
+    assert main(command) == 0
+    assert "going on after 15 of 24 frames" in capfd.readouterr().err
+
+
+def test_interrupted_while_workers_start(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", 10)
+    ended = run_in_process(START, "track", str(run), "-o", str(tmp_path / "t.csv"), "--jobs", "2")
+    assert ended.returncode == 130
+    assert ended.stderr.strip() == "flora-lab: interrupted"
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def interrupted_after(frames: int, monkeypatch: pytest.MonkeyPatch, command: list[str]) -> None:
+    add = part_file.PartFile.add
+
+    def add_and_stop(self: part_file.PartFile, reading: Reading, memory: object) -> None:
+        add(self, reading, memory)
+        if len(self.readings) == frames:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(part_file.PartFile, "add", add_and_stop)
+        assert main(command) == 130
+
+
+@pytest.mark.parametrize(
+    "change", [["--widest-stem-cm", "0.8"], ["--no-resume"], ["--method", "paper"], ["--frames", "1:"]], ids=" ".join
+)
+def test_other_work_begins_anew(
+    change: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = ["track", str(make_run(tmp_path / "run", 8)), "-o", str(tmp_path / "t.csv")]
+    interrupted_after(4, monkeypatch, command)
+    assert main([*command, *change]) == 0
+    assert "going on" not in capfd.readouterr().err
+
+
+def test_other_pictures_or_software_begin_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 8)
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv")]
+    interrupted_after(4, monkeypatch, command)
+    os.utime(run / "frames" / "0002.jpg", ns=(1, 1))
+    interrupted_after(5, monkeypatch, command)
+    assert "going on" not in capfd.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(part_file.cv2, "__version__", "3.0")
+        interrupted_after(6, monkeypatch, command)
+    assert "going on" not in capfd.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(part_file.cv2, "__version__", "3.0")
+        assert main(command) == 0
+    assert "going on after 6 of 8 frames" in capfd.readouterr().err
+
+
+def test_two_at_one_output_are_kept_apart(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 10)
+    out = tmp_path / "t.csv"
+    with part_file.PartFile(out, {}, range(10)):
+        assert main(["track", str(run), "-o", str(out)]) == 2
+        assert "another flora-lab track is at work on this output" in capfd.readouterr().err
+    assert main(["track", str(run), "-o", str(out), "-q"]) == 0
