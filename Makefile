@@ -1,13 +1,14 @@
 # Everything that people and CI do. `make help` lists it.
 VENV   := .venv
 BIN    := $(VENV)/bin
-EXTRAS ?= rig,dev
+EXTRAS ?= rig,lab,dev
 comma  := ,
 STAMP  := $(VENV)/.extras-$(subst $(comma),-,$(EXTRAS))
 SEED   ?= 1
+BENCH_VENV := .venv-bench
 SPEED  ?= lockstep
 
-.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader bench pins clean
+.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -42,15 +43,28 @@ messages: setup  ## write the message reference page and JSON Schema from the ca
 fuzz: setup  ## a million malformed frames against the services
 	@FLORA_FUZZ=1000000 $(BIN)/python -m pytest tests/rig/test_bus_fuzz.py
 
+fuzz-vision: setup  ## ten thousand damaged pictures against the stem finder (FUZZ='--pictures N --list')
+	@$(BIN)/python tests/bench/fuzz_vision.py $(FUZZ)
+
 kill-uploader: setup  ## kill the uploader at every system call of a transfer
 	@FLORA_KILL_ALL=1 $(BIN)/python -m pytest -s tests/rig/test_uploader_kill.py
 
 bench: setup  ## the benchmarks: latency, throughput, memory, idle load
 	@for file in tests/bench/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
+bench-vision: setup $(BENCH_VENV)/.made  ## stem finders against known truth, PlantCV and scikit-image too (BENCH='--full --json FILE --pictures DIR')
+	@$(BIN)/python tests/bench/bench_vision.py $(BENCH)
+
+# PlantCV and scikit-image never share an environment with the rig.
+$(BENCH_VENV)/.made: tests/bench/vision/requirements.txt
+	@$(BIN)/python -m venv $(BENCH_VENV)
+	@$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	@$(BENCH_VENV)/bin/python -c 'import cv2' || { echo "make bench-vision: PlantCV's OpenCV needs: sudo apt install libgl1 libglib2.0-0" >&2; exit 2; }
+	@touch $@
+
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
 	@{ echo "# The versions that flora is tested with, all extras. \`make pins\` writes it from an environment that has them all."; \
 	   $(BIN)/python -m pip freeze --exclude-editable; } > deploy/constraints.txt
 
 clean:  ## remove the environment and all results
-	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(BENCH_VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

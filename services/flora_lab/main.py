@@ -9,11 +9,12 @@ from typing import Annotated, Final
 import typer
 
 from flora_common.cli import print_version, run_typer
-from flora_lab import track
+from flora_lab.dataset import command as dataset
 from flora_lab.report import command as report
+from flora_lab.track import command as track
 
 PROGRAM: Final = "flora-lab"
-SUBCOMMANDS: Final = (track, report)
+SUBCOMMANDS: Final = (track, report, dataset)
 
 
 def build_app() -> typer.Typer:

@@ -1,4 +1,4 @@
-"""The commands of ``flora-twin`` that need no other service: ``serve``, ``picture``, ``grow`` and ``faults``."""
+"""The commands of ``flora-twin`` without other services: ``serve``, ``picture``, ``grow``, ``runs`` and ``faults``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ import typer
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.runs import LIGHTS, TRACK_HEADER, track_line
+from flora_common.runs import LIGHTS, TRACK_HEADER, RunFolder, track_line
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
 from flora_twin.grow import LEVELS, grow, parse_schedule
+from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, dataset_runs
 from flora_twin.server import WorldServer, only_one, parse_start, serve
 from flora_twin.strips import LampLight, strip_bytes
 from flora_twin.world import World
@@ -34,6 +35,7 @@ def register(app: typer.Typer) -> None:
     app.command("serve")(serve_world)
     app.command("picture")(picture)
     app.command("grow")(grow_track)
+    app.command("runs")(grow_runs)
     app.command("faults")(list_faults)
 
 
@@ -120,6 +122,32 @@ def grow_track(
     rows = zip(track.time_s, track.light, track.points_cm, strict=True)
     lines = [TRACK_HEADER, *(track_line(float(time_s), light, points) for time_s, light, points in rows)]
     files.write_text(output, "\n".join(lines) + "\n")
+
+
+def grow_runs(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write; one run folder per plant in it.")],
+    seed: Seed = 1,
+    open_loop: Annotated[int, typer.Option(min=0, max=1000, help="Runs with six-hour switching.")] = OPEN_LOOP,
+    closed_loop: Annotated[int, typer.Option(min=0, max=1000, help="Runs that follow the tip.")] = CLOSED_LOOP,
+    hours: Annotated[float, typer.Option(help="Length of each run.")] = HOURS,
+) -> None:
+    """Grow the paper's dataset experiments without pictures: run folders with run.toml and track.csv."""
+    if output.exists():
+        raise BadInput(f"{output}: is there already; name another folder with -o")
+    if seed < 0:
+        raise BadInput(f"--seed: {seed} is below 0")
+    if open_loop + closed_loop == 0:
+        raise BadInput("no runs: --open-loop and --closed-loop are both 0")
+    if not 1.0 <= hours <= 400.0:
+        raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
+    runs = dataset_runs(seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours)
+    with files.whole_folder(output) as folder:
+        for run in runs:
+            inner = RunFolder(folder / run.name)
+            inner.path.mkdir()
+            inner.run_toml.write_text(run.run_text(), encoding="utf-8")
+            inner.track_csv.write_text(run.track_text(), encoding="utf-8")
+    typer.echo(f"wrote {len(runs)} runs of {hours:g} h in {output}")
 
 
 def list_faults() -> None:

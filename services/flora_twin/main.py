@@ -39,7 +39,7 @@ def build_app() -> typer.Typer:
         `flora-twin --seed 7` alone runs the demo with that plant.
         """
         if seed is not None:
-            context.default_map = {name: {"seed": seed} for name in ("demo", "serve", "picture", "grow")}
+            context.default_map = {name: {"seed": seed} for name in ("demo", "serve", "picture", "grow", "runs")}
         if context.invoked_subcommand is None:
             demo.demo(seed=1 if seed is None else seed)
 

@@ -1,0 +1,1 @@
+"""``flora-lab dataset``: tracks in, the paper's training set out."""

@@ -1,0 +1,114 @@
+"""``flora-twin runs``: the paper's nine runs in the virtual box."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flora_common.runs import Light, RunFolder
+from flora_common.shapes import Target
+from flora_common.tracks import Track, read_track
+from flora_controller.steering import TipFollower, TipFollowerSection, View
+from flora_twin.grow import grow
+from flora_twin.main import main
+from flora_twin.runs import dataset_runs, tip_follower
+
+
+@pytest.fixture(scope="module")
+def nine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("twin") / "nine"
+    assert main(["runs", "-o", str(folder), "--hours", "25", "--seed", "4"]) == 0
+    return folder
+
+
+def test_six_open_and_three_closed_loops_each_with_a_plant_of_its_own(nine: Path) -> None:
+    names = sorted(path.name for path in nine.iterdir())
+    assert names == [f"closed-{i}" for i in range(1, 4)] + [f"open-{i}" for i in range(1, 7)]
+    tracks, plants = [], set()
+    for name in names:
+        folder = RunFolder(nine / name)
+        run = folder.read_run_file()
+        plants.add(run.plant)
+        assert run.interval_s == 300.0
+        assert (run.target is not None) == name.startswith("closed")
+        track = read_track(folder.track_csv)
+        tracks.append(track)
+        assert track.time_s.tolist() == [300.0 * i for i in range(25 * 12 + 1)]
+        assert track.light[0] == "dark"
+        assert set(track.light[1:]) <= {"left", "right"}
+    assert plants == {f"virtual bean, seed {i}" for i in range(4, 13)}
+    for i, track in enumerate(tracks):
+        assert not any(np.array_equal(track.points_cm, other.points_cm) for other in tracks[:i])
+
+
+def test_open_loops_switch_every_six_hours_and_are_what_grow_grows(nine: Path) -> None:
+    track = read_track(nine / "open-2" / "track.csv")
+    six_hours = 72
+    expected: list[Light] = ["left" if (i - 1) // six_hours % 2 == 0 else "right" for i in range(1, len(track.light))]
+    assert list(track.light[1:]) == expected
+    alone = grow(5, "6h", 25)
+    assert track.points_cm == pytest.approx(alone.points_cm, abs=1e-4)
+
+
+def decided(track: Track, target_x_cm: float) -> list[Light]:
+    """What flora-controller's rule does at each row, given what shone before."""
+    rule = TipFollower(Target(target_x_cm, 17.9), TipFollowerSection())
+    said: list[Light] = []
+    for row in range(len(track.time_s) - 1):
+        light = rule.decide(View(float(track.time_s[row]), track.points_cm[row], track.light[row]), {}).light
+        assert light is not None
+        said.append(light)
+    return said
+
+
+def test_closed_loops_do_what_flora_controllers_tip_follower_does() -> None:
+    runs = dataset_runs(9, open_loops=0, closed_loops=3, hours=72)
+    for run in runs:
+        assert run.run_file.target is not None
+        assert decided(run.track, run.run_file.target.x_cm) == list(run.track.light[1:])
+        assert set(run.track.light[1:]) == {"left", "right"}
+    targets = [run.run_file.target.x_cm for run in runs if run.run_file.target]
+    assert [np.sign(x) for x in targets] == [-1, 1, -1]
+    assert all(2.0 <= abs(x) <= 7.0 for x in targets)
+
+
+def test_the_tip_follower_holds_the_lamp_near_its_target() -> None:
+    steer = tip_follower(3.0)
+    assert steer(0.0, 5.0, "right") == "left"
+    assert steer(0.0, 1.0, "left") == "right"
+    assert steer(0.0, 3.4, "right") == "right"
+    assert steer(0.0, 3.4, "left") == "left"
+    assert steer(0.0, 3.4, "dark") == "left"
+
+
+def test_the_same_seed_gives_the_same_files(nine: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    assert main(["runs", "-o", str(again), "--hours", "25", "--seed", "4"]) == 0
+    for path in nine.rglob("*.*"):
+        assert (again / path.relative_to(nine)).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--hours", "0"], "hours is 0"),
+        (["--hours", "nan"], "hours is nan"),
+        (["--open-loop", "0", "--closed-loop", "0"], "no runs"),
+        (["--seed", "-1"], "is below 0"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert main(["runs", "-o", str(tmp_path / "runs"), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_folder_is_kept(nine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", "-o", str(nine)]) == 2
+    assert "is there already" in capsys.readouterr().err
