@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.runs import CameraSection, Light
+from flora_common.runs import LEVELS, CameraSection, Light
 from flora_twin.box import CAMERA
-from flora_twin.grow import LEVELS, LightSchedule, parse_schedule
+from flora_twin.grow import LightSchedule, parse_schedule
 from flora_twin.strips import LampLight, strip_bytes
 from flora_twin.world import World
 

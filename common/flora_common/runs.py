@@ -27,6 +27,13 @@ from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
 LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
+LEVELS: Final[Mapping[Light, tuple[float, float]]] = {
+    "left": (1.0, 0.0),
+    "right": (0.0, 1.0),
+    "dark": (0.0, 0.0),
+    "both": (1.0, 1.0),
+}
+"""What a light means as (left, right) of one full lamp."""
 
 Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]

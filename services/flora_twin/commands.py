@@ -15,10 +15,10 @@ import typer
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.runs import LIGHTS, TRACK_HEADER, RunFolder, track_line
+from flora_common.runs import LEVELS, LIGHTS, TRACK_HEADER, RunFolder, track_line
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
-from flora_twin.grow import LEVELS, grow, parse_schedule
+from flora_twin.grow import grow, parse_schedule
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, dataset_runs
 from flora_twin.server import WorldServer, only_one, parse_start, serve
 from flora_twin.strips import LampLight, strip_bytes

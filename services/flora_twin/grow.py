@@ -10,7 +10,7 @@ import numpy as np
 
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray, resample_by_height
-from flora_common.runs import LIGHTS, Light
+from flora_common.runs import LEVELS, LIGHTS, Light
 from flora_common.shapes import STEM_POINTS
 from flora_common.suggest import did_you_mean
 from flora_common.tracks import Track
@@ -21,13 +21,6 @@ from flora_twin.plant import STEP_S, Plants
 LightSchedule = Callable[[float], Light]
 """The lamp that shines from a time on, in seconds since the start."""
 
-LEVELS: Final[dict[Light, tuple[float, float]]] = {
-    "left": (1.0, 0.0),
-    "right": (0.0, 1.0),
-    "dark": (0.0, 0.0),
-    "both": (1.0, 1.0),
-}
-"""What a light means as (left, right) of one full lamp."""
 
 FRAME_S: Final = 300.0
 _MAX_HOURS: Final = 24.0 * 60

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.runs import TRACK_HEADER, Light, RunFile, TargetSection, run_file_text, track_line
+from flora_common.runs import LEVELS, TRACK_HEADER, Light, RunFile, TargetSection, run_file_text, track_line
 from flora_common.tracks import Track
 from flora_twin.box import camera_section
-from flora_twin.grow import FRAME_S, LEVELS, parse_schedule, stem_points_cm
+from flora_twin.grow import FRAME_S, parse_schedule, stem_points_cm
 from flora_twin.plant import STEP_S, Plants
 
 OPEN_LOOP: Final = 6

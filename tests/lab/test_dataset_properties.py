@@ -12,7 +12,7 @@ from flora_common.runs import Light
 from flora_common.tracks import Track
 from flora_lab.dataset.build import build
 from flora_lab.dataset.generic import translated, translations
-from flora_lab.dataset.loading import RunTrack, measured
+from flora_lab.dataset.loading import measured
 from flora_lab.dataset.noise import local_statistics
 from flora_lab.dataset.pairs import change, mirrored
 from flora_lab.dataset.recipe import (
@@ -28,6 +28,7 @@ from flora_lab.dataset.recipe import (
     Recipe,
     SparseSettings,
 )
+from flora_lab.run_tracks import RunTrack
 
 STEP_S = 300.0
 LOOSE = SparseSettings(min_runs=1, min_tips=1)

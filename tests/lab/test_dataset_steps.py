@@ -10,12 +10,13 @@ import pytest
 from flora_common.geometry import FloatArray
 from flora_common.tracks import Track
 from flora_lab.dataset.generic import roughness, smoothest, translated, translations, windows
-from flora_lab.dataset.loading import RunTrack, measured
+from flora_lab.dataset.loading import measured
 from flora_lab.dataset.noise import extents_ratio, local_statistics, noisy_points, noisy_sequences
 from flora_lab.dataset.pairs import change, changed, mirrored, no_jump, paired
 from flora_lab.dataset.recipe import GenericSettings, NoiseSettings, SparseSettings
 from flora_lab.dataset.sparse import in_dense_areas
 from flora_lab.dataset.stems import LEFT, RIGHT, Stems, joined
+from flora_lab.run_tracks import RunTrack
 
 
 def stems_with_tips(

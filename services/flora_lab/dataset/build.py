@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from flora_common.errors import BadInput
 from flora_lab.dataset.generic import smoothest, translated, translations
-from flora_lab.dataset.loading import RunTrack, measured
+from flora_lab.dataset.loading import measured
 from flora_lab.dataset.noise import noisy_sequences
 from flora_lab.dataset.pairs import Pairs, changed, mirrored, no_jump, paired
 from flora_lab.dataset.recipe import DUPLICATES, GENERIC, JUMPS, MIRROR, NOISE, PAIRS, SPARSE, TRACKS, Recipe
 from flora_lab.dataset.sparse import in_dense_areas
 from flora_lab.dataset.stems import Stems, joined
+from flora_lab.run_tracks import RunTrack
 
 
 @dataclass(frozen=True, slots=True)

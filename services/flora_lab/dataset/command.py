@@ -13,7 +13,6 @@ from rich.console import Console
 
 from flora_common.errors import BadInput
 from flora_lab.dataset.build import Built, build
-from flora_lab.dataset.loading import load_runs
 from flora_lab.dataset.recipe import (
     PAPER_VECTORS,
     STEPS,
@@ -25,6 +24,7 @@ from flora_lab.dataset.recipe import (
     steps_named,
 )
 from flora_lab.dataset.store import Dataset, check_output, write_dataset
+from flora_lab.run_tracks import load_runs
 
 _R, _S, _N, _G = Recipe(), SparseSettings(), NoiseSettings(), GenericSettings()
 _NUMBERS = "Numbers of the steps"

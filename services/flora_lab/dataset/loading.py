@@ -3,81 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from flora_common import files
 from flora_common.errors import BadInput
-from flora_common.runs import RunFolder
-from flora_common.tracks import Track, read_track
 from flora_lab.dataset.stems import LEFT, RIGHT, BoolArray, Stems, joined
+from flora_lab.run_tracks import RunTrack
 
 CONDITIONS: Final = {"left": LEFT, "right": RIGHT}
 STEP_TOLERANCE: Final = 0.1
 """Relative: beats of a rig are early or late by seconds."""
-ANCHOR_TOLERANCE_CM: Final = 0.01
-LONGEST_CM: Final = 500.0
-"""No stem in a grow box is longer; a coordinate beyond it is a wrong unit."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunTrack:
-    """A run's track and where it came from.
-
-    Attributes:
-        name: of the run.
-        plant: which plant it was: ``plant`` of run.toml, or the run's name.
-        file: the track, as it was given.
-        sha256: of the file.
-        track: what it holds.
-    """
-
-    name: str
-    plant: str
-    file: Path
-    sha256: str
-    track: Track
-
-
-def load_run(path: Path) -> RunTrack:
-    """A run folder with ``track.csv``, or a track alone.
-
-    Raises:
-        BadInput: missing, unreadable, not a track; the message names file and line.
-    """
-    if not path.exists():
-        raise BadInput(f"{path}: no such run or track")
-    if not path.is_dir():
-        name = path.resolve().parent.name if path.name == "track.csv" else path.stem
-        return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
-    folder = RunFolder(path)
-    if not folder.track_csv.is_file():
-        inner = any(path.glob("*/track.csv"))
-        hint = f"; name the runs in it: {path}/*" if inner else f"; make it with `flora-lab track {path}`"
-        raise BadInput(f"{path}: holds no track.csv{hint}")
-    name = path.resolve().name
-    plant = folder.read_run_file().plant.strip() if folder.run_toml.exists() else ""
-    sha256 = files.sha256_of_file(folder.track_csv)
-    return RunTrack(name, plant or name, folder.track_csv, sha256, read_track(folder.track_csv))
-
-
-def load_runs(paths: Sequence[Path]) -> list[RunTrack]:
-    """All runs, in the order given.
-
-    Raises:
-        BadInput: as :func:`load_run`; or the same track twice, which would count it double.
-    """
-    runs: list[RunTrack] = []
-    for path in paths:
-        run = load_run(path)
-        twin = next((other for other in runs if other.sha256 == run.sha256), None)
-        if twin is not None:
-            raise BadInput(f"{run.file}: is the same track as {twin.file}")
-        runs.append(run)
-    return runs
 
 
 def measured(runs: Sequence[RunTrack], interval_s: float, *, skip_other_lights: bool = False) -> Stems:
@@ -107,7 +43,7 @@ def measured(runs: Sequence[RunTrack], interval_s: float, *, skip_other_lights: 
 
 def _psi(run: RunTrack, index: int, first_segment: int, interval_s: float, *, skip_other_lights: bool) -> Stems:
     track = run.track
-    _check_points(run)
+    run.check_points()
     unbroken = _steps(run, interval_s)
     lit = np.array([light in CONDITIONS for light in track.light])
     if not skip_other_lights:
@@ -118,7 +54,7 @@ def _psi(run: RunTrack, index: int, first_segment: int, interval_s: float, *, sk
         if not used.all():
             row = int(np.argmin(used))
             raise BadInput(
-                f"{_where(run, row)}: light is `{track.light[row]}`; the model knows left and right only; "
+                f"{run.where(row)}: light is `{track.light[row]}`; the model knows left and right only; "
                 "add --skip-other-lights to leave such rows out"
             )
     unbroken &= lit[1:]
@@ -151,24 +87,7 @@ def _steps(run: RunTrack, interval_s: float) -> BoolArray:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise BadInput(
-            f"{_where(run, row + 1)}: {step_s[row]:g} s after the row before; steps of {interval_s:g} s are wanted "
+            f"{run.where(row + 1)}: {step_s[row]:g} s after the row before; steps of {interval_s:g} s are wanted "
             "(see --interval-s)"
         )
     return near
-
-
-def _check_points(run: RunTrack) -> None:
-    points = run.track.points_cm
-    off = np.abs(points[:, 0]).max(axis=1) > ANCHOR_TOLERANCE_CM
-    if off.any():
-        row = int(np.argmax(off))
-        x, y = points[row, 0]
-        raise BadInput(f"{_where(run, row)}: point 1 is the anchor and must be (0, 0), not ({x:g}, {y:g})")
-    far = np.abs(points).max(axis=(1, 2)) > LONGEST_CM
-    if far.any():
-        row = int(np.argmax(far))
-        raise BadInput(f"{_where(run, row)}: a coordinate beyond {LONGEST_CM:g} cm; points are in cm")
-
-
-def _where(run: RunTrack, row: int) -> str:
-    return f"{run.file} row {row + 1} (time_s {run.track.time_s[row]:g})"

@@ -20,9 +20,9 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import convert, read_toml, to_toml
 from flora_lab.dataset.build import Built
-from flora_lab.dataset.loading import RunTrack
 from flora_lab.dataset.pairs import COORDINATES, Pairs
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe
+from flora_lab.run_tracks import RunTrack
 
 FORMAT: Final = 1
 DATA_FILE: Final = "data.npz"

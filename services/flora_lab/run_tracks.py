@@ -1,0 +1,102 @@
+"""Measured runs as the lab reads them: a run folder with ``track.csv``, or a track alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from flora_common import files
+from flora_common.errors import BadInput
+from flora_common.runs import LampsSection, RunFolder
+from flora_common.tracks import Track, read_track
+
+ANCHOR_TOLERANCE_CM: Final = 0.01
+LONGEST_CM: Final = 500.0
+"""No stem in a grow box is longer; a coordinate beyond it is a wrong unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunTrack:
+    """A run's track and where it came from.
+
+    Attributes:
+        name: of the run.
+        plant: which plant it was: ``plant`` of run.toml, or the run's name.
+        file: the track, as it was given.
+        sha256: of the file.
+        track: what it holds.
+        lamps: where the lamps hang, from run.toml; None where that is not told.
+    """
+
+    name: str
+    plant: str
+    file: Path
+    sha256: str
+    track: Track
+    lamps: LampsSection | None = None
+
+    def where(self, row: int) -> str:
+        """How messages name a row, counted from 0."""
+        return f"{self.file} row {row + 1} (time_s {self.track.time_s[row]:g})"
+
+    def check_points(self) -> None:
+        """Whether the points can be a stem's.
+
+        Raises:
+            BadInput: an anchor that is not (0, 0), or a coordinate that no stem in a grow box has.
+        """
+        points = self.track.points_cm
+        off = np.abs(points[:, 0]).max(axis=1) > ANCHOR_TOLERANCE_CM
+        if off.any():
+            row = int(np.argmax(off))
+            x, y = points[row, 0]
+            raise BadInput(f"{self.where(row)}: point 1 is the anchor and must be (0, 0), not ({x:g}, {y:g})")
+        far = np.abs(points).max(axis=(1, 2)) > LONGEST_CM
+        if far.any():
+            raise BadInput(
+                f"{self.where(int(np.argmax(far)))}: a coordinate beyond {LONGEST_CM:g} cm; points are in cm"
+            )
+
+
+def load_run(path: Path) -> RunTrack:
+    """A run folder with ``track.csv``, or a track alone.
+
+    Raises:
+        BadInput: missing, unreadable, not a track; the message names file and line.
+    """
+    if not path.exists():
+        raise BadInput(f"{path}: no such run or track")
+    if not path.is_dir():
+        name = path.resolve().parent.name if path.name == "track.csv" else path.stem
+        return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
+    folder = RunFolder(path)
+    if not folder.track_csv.is_file():
+        inner = any(path.glob("*/track.csv"))
+        hint = f"; name the runs in it: {path}/*" if inner else f"; make it with `flora-lab track {path}`"
+        raise BadInput(f"{path}: holds no track.csv{hint}")
+    name = path.resolve().name
+    run_file = folder.read_run_file() if folder.run_toml.exists() else None
+    plant = run_file.plant.strip() if run_file else ""
+    sha256 = files.sha256_of_file(folder.track_csv)
+    lamps = run_file.lamps if run_file else None
+    return RunTrack(name, plant or name, folder.track_csv, sha256, read_track(folder.track_csv), lamps)
+
+
+def load_runs(paths: Sequence[Path]) -> list[RunTrack]:
+    """All runs, in the order given.
+
+    Raises:
+        BadInput: as :func:`load_run`; or the same track twice, which would count it double.
+    """
+    runs: list[RunTrack] = []
+    for path in paths:
+        run = load_run(path)
+        twin = next((other for other in runs if other.sha256 == run.sha256), None)
+        if twin is not None:
+            raise BadInput(f"{run.file}: is the same track as {twin.file}")
+        runs.append(run)
+    return runs

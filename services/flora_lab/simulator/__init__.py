@@ -1,0 +1,1 @@
+"""Simulated plants: what a stem does under a light, learned from tracks."""

@@ -1,0 +1,147 @@
+"""Measured runs in equal steps: what simulators are fitted to and judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flora_common.errors import BadInput
+from flora_common.geometry import FloatArray
+from flora_common.runs import LEVELS, LampsSection
+from flora_common.shapes import STEM_POINTS
+from flora_lab.run_tracks import RunTrack
+
+STEP_S: Final = 300.0
+NEAR_SHARE: Final = 0.35
+"""How far from its place in the grid a row may lie, as a share of the step, to be taken for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """One run, every ``step_s`` from its first stem to its last.
+
+    Attributes:
+        name, plant: of the run; one plant may have several.
+        sha256: of the track.
+        points_cm: shape (n, 10, 2); NaN where no stem was measured, never in the first and last row.
+        light: shape (n - 1, 2): levels of the left and right lamp from each row to the next.
+        time_s: shape (n,), as in the track, equally spaced.
+        step_s: from one row to the next.
+        covariates: name to shape (n - 1,), from each row to the next.
+        lamps: where they hang, or None.
+    """
+
+    name: str
+    plant: str
+    sha256: str
+    points_cm: FloatArray
+    light: FloatArray
+    time_s: FloatArray
+    step_s: float
+    covariates: Mapping[str, FloatArray]
+    lamps: LampsSection | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def hours(self) -> float:
+        return float(self.time_s[-1] - self.time_s[0]) / 3600.0
+
+    @property
+    def is_measured(self) -> FloatArray:
+        """Which rows hold a stem, shape (n,), bool."""
+        return np.isfinite(self.points_cm[:, -1, 0])
+
+    def mirrored(self) -> MeasuredRun:
+        """Left and right exchanged."""
+        return MeasuredRun(
+            self.name,
+            self.plant,
+            self.sha256,
+            self.points_cm * np.array([-1.0, 1.0]),
+            self.light[:, ::-1].copy(),
+            self.time_s,
+            self.step_s,
+            self.covariates,
+            self.lamps,
+        )
+
+
+def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
+    """A run's track on a grid of equal steps from its first row.
+
+    ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; before that, the lamp
+    of the row before the gap is taken to have stayed on. Rows that lie near no place of the grid are left out.
+
+    Raises:
+        BadInput: fewer than two stems, points that no stem has, or no two rows ``step_s`` apart.
+    """
+    run.check_points()
+    track = run.track
+    if len(track.time_s) < 2:
+        raise BadInput(f"{run.file}: holds one stem; at least two are needed")
+    place = (track.time_s - track.time_s[0]) / step_s
+    index = np.rint(place).astype(np.int64)
+    rows = np.nonzero(np.abs(place - index) <= NEAR_SHARE)[0]
+    at, first = np.unique(index[rows], return_index=True)
+    rows = rows[first]
+    if not (np.diff(at) == 1).any():
+        raise BadInput(f"{run.file}: no two rows are {step_s:g} s apart")
+    count = int(at[-1]) + 1
+    points = np.full((count, STEM_POINTS, 2), np.nan)
+    points[at] = track.points_cm[rows]
+    own = np.array([LEVELS[light] for light in track.light])[rows]
+    last = np.searchsorted(at, np.arange(1, count), side="right") - 1  # the row at or before each step's end
+    light = own[last]
+    covariates = {}
+    for name, values in track.covariates.items():
+        covariates[name] = np.interp(np.arange(count - 1) + 0.5, at, values[rows])
+    return MeasuredRun(
+        run.name,
+        run.plant,
+        run.sha256,
+        points,
+        light,
+        track.time_s[0] + np.arange(count) * step_s,
+        step_s,
+        covariates,
+        run.lamps,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Several runs side by side, all as long as the longest.
+
+    Attributes:
+        points_cm: shape (n, batch, 10, 2); NaN where nothing was measured and after a run's end.
+        light: shape (n - 1, batch, 2); after a run's end its last lamp stays on.
+        rows: shape (batch,): length of each run.
+        covariates: those that all runs have, name to shape (n - 1, batch).
+        step_s: from one row to the next.
+    """
+
+    points_cm: FloatArray
+    light: FloatArray
+    rows: FloatArray
+    covariates: Mapping[str, FloatArray]
+    step_s: float
+
+
+def side_by_side(runs: Sequence[MeasuredRun]) -> Batch:
+    """Several runs of the same step as one batch."""
+    count = max(len(run) for run in runs)
+    points = np.full((count, len(runs), STEM_POINTS, 2), np.nan)
+    light = np.empty((count - 1, len(runs), 2))
+    shared = set.intersection(*(set(run.covariates) for run in runs))
+    covariates = {name: np.empty((count - 1, len(runs))) for name in sorted(shared)}
+    for i, run in enumerate(runs):
+        points[: len(run), i] = run.points_cm
+        light[: len(run) - 1, i], light[len(run) - 1 :, i] = run.light, run.light[-1]
+        for name, values in covariates.items():
+            values[: len(run) - 1, i], values[len(run) - 1 :, i] = run.covariates[name], run.covariates[name][-1]
+    return Batch(points, light, np.array([len(run) for run in runs]), covariates, runs[0].step_s)

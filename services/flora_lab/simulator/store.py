@@ -1,0 +1,234 @@
+"""A simulator on the disk: a folder with ``simulator.toml`` and ``weights.safetensors``.
+
+Neither torch nor any other learning library is needed to read one. The same data, settings and seed give the same
+bytes: no time and no name of a machine is in them.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import safetensors
+import safetensors.numpy
+
+from flora_common import files
+from flora_common.errors import BadInput
+from flora_common.toml_strict import convert, read_toml, to_toml
+
+FORMAT: Final = 1
+SUFFIX: Final = ".simulator"
+INFO_FILE: Final = "simulator.toml"
+WEIGHTS_FILE: Final = "weights.safetensors"
+FILES: Final = frozenset({INFO_FILE, WEIGHTS_FILE})
+FIGURES: Final = frozenset({"training.png"})
+"""What else may lie in the folder."""
+
+Array = npt.NDArray[Any]
+Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+
+
+class TrackEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[[provenance.track]]``: a run that the simulator was made from, and what for."""
+
+    name: str
+    plant: str
+    sha256: Sha256
+    part: str = "train"
+    """``train``, ``validate`` or ``test``; ``all`` where the paper's shuffled rows were split."""
+
+
+class Provenance(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[provenance]``: what the simulator was made from, how, and with which software."""
+
+    recipe: str
+    seed: int
+    software: str
+    dataset_sha256: str = ""
+    """Of the training set's ``data.npz``, where there was one."""
+    split: str = ""
+    """How training and test were held apart, in a sentence."""
+    settings: dict[str, Any] = {}
+    """All settings of the recipe."""
+    results: dict[str, Any] = {}
+    """Errors at the end of the training; units stand in the names."""
+    track: list[TrackEntry] = []
+
+
+class Extension(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[[extension]]``: a named effect that was added to the simulator, with its parameters."""
+
+    effect: str
+    parameters: dict[str, float] = {}
+
+
+class SimulatorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``simulator.toml``.
+
+    Attributes:
+        format: of the folder.
+        kind: which class reads it.
+        step_s: the step that it was made for.
+        weights_sha256: of ``weights.safetensors``.
+        provenance: where it comes from.
+        scales: numbers that the kind needs beside its weights; units stand in the names.
+        extension: effects that were added.
+    """
+
+    format: int
+    kind: str
+    step_s: Positive
+    weights_sha256: Sha256
+    provenance: Provenance
+    scales: dict[str, Any] = {}
+    extension: list[Extension] = []
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A simulator folder that was read and checked.
+
+    Attributes:
+        path: of the folder.
+        info: ``simulator.toml``.
+        weights: name to array, all finite.
+    """
+
+    path: Path
+    info: SimulatorFile
+    weights: Mapping[str, Array]
+
+    def weight(self, name: str, shape: tuple[int | None, ...]) -> Array:
+        """One array of the shape that its reader expects; None fits any length.
+
+        Raises:
+            BadInput: missing, or of another shape.
+        """
+        found = self.weights.get(name)
+        if found is None:
+            raise BadInput(f"{self.path / WEIGHTS_FILE}: holds no `{name}`")
+        if len(found.shape) != len(shape) or any(
+            want is not None and have != want for have, want in zip(found.shape, shape, strict=True)
+        ):
+            wanted = ", ".join("any" if want is None else str(want) for want in shape)
+            raise BadInput(f"{self.path / WEIGHTS_FILE}: `{name}` is {found.shape}; expected ({wanted})")
+        return found
+
+    def scale(self, name: str) -> float:
+        """One number of ``[scales]``.
+
+        Raises:
+            BadInput: missing, or not a finite number.
+        """
+        value = self.info.scales.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise BadInput(f"{self.path / INFO_FILE}: scales.{name} is {str(value)[:40]}, not a number")
+        return float(value)
+
+
+def software() -> str:
+    """The version that provenance names."""
+    return f"flora {importlib.metadata.version('flora')}"
+
+
+def check_output(path: Path, *, force: bool) -> None:
+    """Whether a simulator may be written there.
+
+    Raises:
+        BadInput: something is there, and it is not to be, or must not be, replaced.
+    """
+    if not path.exists() and not path.is_symlink():
+        return
+    if not force:
+        raise BadInput(f"{path}: is there already; name another folder with -o, or add --force")
+    names = {entry.name for entry in path.iterdir()} if path.is_dir() and not path.is_symlink() else set()
+    if not FILES <= names <= FILES | FIGURES:
+        raise BadInput(f"{path}: is not a simulator and is not replaced; name another folder with -o")
+
+
+def write_simulator(
+    path: Path,
+    *,
+    kind: str,
+    step_s: float,
+    weights: Mapping[str, Array],
+    scales: Mapping[str, Any],
+    provenance: Provenance,
+    extensions: Sequence[Extension] = (),
+    figures: Mapping[str, bytes] | None = None,
+    force: bool = False,
+) -> SimulatorFile:
+    """Write the folder, whole or not at all.
+
+    Args:
+        path: the folder.
+        kind, step_s, weights, scales, provenance, extensions: see :class:`SimulatorFile`; weights as float32 or float64.
+        figures: file name, one of :data:`FIGURES`, to content.
+        force: replace a simulator that is there.
+
+    Raises:
+        BadInput: see :func:`check_output`.
+        ValueError: weights that are not finite.
+        DiskFull: no room.
+    """
+    check_output(path, force=force)
+    for name, array in weights.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"weight `{name}` is not finite; the training has failed")
+    data = safetensors.numpy.save({name: np.ascontiguousarray(weights[name]) for name in sorted(weights)})
+    info = SimulatorFile(
+        format=FORMAT,
+        kind=kind,
+        step_s=step_s,
+        weights_sha256=files.sha256_of_bytes(data),
+        provenance=provenance,
+        scales=dict(scales),
+        extension=list(extensions),
+    )
+    with files.whole_folder(path, replace=force) as folder:
+        (folder / WEIGHTS_FILE).write_bytes(data)
+        (folder / INFO_FILE).write_text(to_toml(info), encoding="utf-8")
+        for name, content in (figures or {}).items():
+            if name not in FIGURES:
+                raise ValueError(f"`{name}` does not belong into a simulator folder")
+            (folder / name).write_bytes(content)
+    return info
+
+
+def read_stored(path: Path) -> Stored:
+    """A simulator folder, checked: its hash, and that all weights are finite.
+
+    Raises:
+        BadInput: anything of that does not hold; one line that says what and where.
+    """
+    info_path, weights_path = path / INFO_FILE, path / WEIGHTS_FILE
+    if not path.is_dir():
+        raise BadInput(f"{path}: no such simulator folder")
+    if not info_path.is_file():
+        raise BadInput(f"{path}: not a simulator, it has no {INFO_FILE}; make one with `flora-lab train`")
+    table = read_toml(info_path, BadInput)
+    if table.get("format") != FORMAT:
+        raise BadInput(f"{info_path}: format {str(table.get('format'))[:20]} is not known; this program reads {FORMAT}")
+    info = convert(table, SimulatorFile, where=str(info_path), error=BadInput)
+    try:
+        data = weights_path.read_bytes()
+    except OSError as problem:
+        raise BadInput(f"{weights_path}: cannot be read ({problem.strerror})") from problem
+    sha256 = files.sha256_of_bytes(data)
+    if sha256 != info.weights_sha256:
+        raise BadInput(f"{weights_path}: is damaged or belongs to another {INFO_FILE}: its SHA-256 is {sha256[:12]}…")
+    try:
+        weights = safetensors.numpy.load(data)
+    except (safetensors.SafetensorError, ValueError, KeyError) as problem:
+        raise BadInput(f"{weights_path}: not a safetensors file ({str(problem)[:100]})") from problem
+    for name, array in weights.items():
+        if not np.isfinite(array).all():
+            raise BadInput(f"{weights_path}: `{name}` holds numbers that are not finite")
+    return Stored(path, info, weights)
