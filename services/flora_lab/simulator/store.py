@@ -169,7 +169,7 @@ def write_simulator(
 
     Args:
         path: the folder.
-        kind, step_s, weights, scales, provenance, extensions: see :class:`SimulatorFile`; weights as float32 or float64.
+        kind, step_s, weights, scales, provenance, extensions: see :class:`SimulatorFile`; weights float32 or float64.
         figures: file name, one of :data:`FIGURES`, to content.
         force: replace a simulator that is there.
 
