@@ -1,0 +1,225 @@
+"""What kind of plant it was that left a track: the rod's constants, by maximum a posteriori probability.
+
+The residuals of a free run are whitened with the covariance that noise would give them (see
+:mod:`flora_lab.simulator.rod_noise`), so that a slow swing counts once and not once per photograph. Levenberg-Marquardt
+on the logarithms of the constants; derivatives by central differences, all of them side by side in one batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.runs import LampsSection
+from flora_common.shapes import STEM_POINTS
+from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.rod import advance
+from flora_lab.simulator.rod_noise import RodNoise
+from flora_lab.simulator.rod_parameters import NAMES
+from flora_lab.simulator.rod_shape import rods_through
+
+Array = npt.NDArray[Any]
+
+FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0))
+"""Point and axis of what is compared. Heights of the points between follow from the tip's."""
+EVERY_H: Final = 1.0
+KNOT_H: Final = {"bias": 1.0 / 3.0, "growth": 1.0}
+"""How finely noise is resolved in time; circumnutation has a period of 1.2 to 2.6 h."""
+_PUSH: Final = {"bias": 0.02, "growth": 0.2}
+_DELTA: Final = 0.03
+_ITERATIONS: Final = 12
+_LOG_RANGE: Final = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of a plant before it is seen: its log-constants are normal.
+
+    Attributes:
+        mean: shape (9,).
+        covariance: shape (9, 9).
+    """
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A plant's constants.
+
+    Attributes:
+        log_parameters: shape (9,).
+        covariance: of them, shape (9, 9), by Laplace's approximation.
+        residual: measured minus simulated features, cm, shape (m,).
+        jacobian: of the features, shape (m, 9).
+    """
+
+    log_parameters: Array
+    covariance: Array
+    residual: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Responses:
+    """How the features answer a push at each knot, about one plant.
+
+    Attributes:
+        bias, growth: shape (m, knots), per unit of the drive.
+        bias_h, growth_h: middles of the knots, shape (knots,).
+        length_cm: of the stem in the middle of each bias knot, shape (knots,).
+    """
+
+    bias: Array
+    growth: Array
+    bias_h: Array
+    growth_h: Array
+    length_cm: Array
+
+    def covariance(self, noise: RodNoise) -> Array:
+        """Of the features, shape (m, m), without measuring error."""
+        out = self.bias @ noise.bias_covariance(self.bias_h, self.length_cm) @ self.bias.T
+        return np.asarray(out + self.growth @ noise.growth_covariance(self.growth_h) @ self.growth.T)
+
+
+def covariance_of(answer: Responses, noise: RodNoise) -> Array:
+    """Of a run's features: by chance, and by measuring."""
+    chance = answer.covariance(noise)
+    return np.asarray(chance + noise.measure_cm**2 * np.eye(len(chance)))
+
+
+class Observed:
+    """One run, ready to be compared with rods that start from its first stem.
+
+    Args:
+        run: what was measured.
+        lamps: where they hang.
+        rows: how many of its rows are used; all where missing.
+    """
+
+    def __init__(self, run: MeasuredRun, lamps: LampsSection, rows: int | None = None) -> None:
+        count = len(run) if rows is None else rows
+        self.run = run
+        self.step_h = run.step_s / 3600.0
+        self.every = max(1, round(EVERY_H / self.step_h))
+        at = np.arange(self.every, count, self.every)
+        if not len(at):  # a history shorter than an hour is judged by its last stem
+            self.every, at = count - 1, np.array([count - 1])
+        self.steps = int(at[-1])
+        self.light = run.light[: self.steps]
+        self.lamps_cm = np.array([lamps.distance_cm, lamps.height_cm])
+        self._rod = rods_through(run.points_cm[:1])
+        told = np.stack([run.points_cm[at, point, axis] for point, axis in FEATURES], axis=1).ravel()
+        self.is_told = np.isfinite(told)
+        self.features = told[self.is_told]
+
+    def points(self, parameters: Array, bias: Array | None = None, growth: Array | None = None) -> Array:
+        """Stems of rods at the rows compared, shape (rows, lanes, 10, 2).
+
+        Args:
+            parameters: shape (lanes, 9).
+            bias, growth: drives, shape (steps, lanes); none and 1 where missing.
+        """
+        lanes = len(parameters)
+        length, angle, count = (np.repeat(part, lanes, axis=0) for part in self._rod)
+        out = np.empty((self.steps // self.every, lanes, STEM_POINTS, 2))
+        advance(
+            length,
+            angle,
+            count,
+            np.zeros((lanes, 2, 2)),
+            np.ascontiguousarray(parameters),
+            np.repeat(self.lamps_cm[None], lanes, axis=0),
+            np.repeat(self.light[:, None], lanes, axis=1),
+            np.zeros((self.steps, lanes)) if bias is None else bias,
+            np.ones((self.steps, lanes)) if growth is None else growth,
+            self.step_h,
+            self.every,
+            out,
+        )
+        return out
+
+    def of_points(self, points: Array) -> Array:
+        """The features of stems (rows, lanes, 10, 2) that were measured, shape (lanes, m)."""
+        all_of_them = np.stack([points[:, :, point, axis] for point, axis in FEATURES], axis=2)
+        return np.asarray(all_of_them.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
+
+    def simulated(self, parameters: Array) -> Array:
+        """Features without noise, shape (lanes, m)."""
+        return self.of_points(self.points(parameters))
+
+    def responses(self, parameters: Array) -> Responses:
+        """How this run would answer noise, for a plant with these constants (9,)."""
+        found: dict[str, tuple[Array, Array]] = {}
+        still = self.points(parameters[None])
+        base = self.of_points(still)[0]
+        for name in ("bias", "growth"):
+            per_knot = max(1, round(KNOT_H[name] / self.step_h))
+            knots = -(-self.steps // per_knot)
+            push = np.zeros((self.steps, knots))
+            push[np.arange(self.steps), np.arange(self.steps) // per_knot] = _PUSH[name]
+            lanes = np.repeat(parameters[None], knots, axis=0)
+            points = self.points(lanes, bias=push) if name == "bias" else self.points(lanes, growth=1.0 + push)
+            middle_h = (np.arange(knots) + 0.5) * per_knot * self.step_h
+            found[name] = ((self.of_points(points) - base).T / _PUSH[name], middle_h)
+        lines = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
+        row_h = (np.arange(len(lines)) + 1) * self.every * self.step_h
+        length_cm = np.interp(found["bias"][1], row_h, lines)
+        return Responses(found["bias"][0], found["growth"][0], found["bias"][1], found["growth"][1], length_cm)
+
+
+def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = None) -> Fitted:
+    """The most probable constants of a plant.
+
+    Args:
+        seen: its track.
+        prior: of its log-constants.
+        covariance: of the features, with measuring error, shape (m, m).
+        start: log-constants to begin with; the prior's mean where missing.
+
+    Returns:
+        The fit. Log-constants stay within 2.5 of the prior's mean: beyond it no rod is a plant.
+    """
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    prior_root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+    at = prior.mean.copy() if start is None else start.copy()
+    features, jacobian = _linear(seen, at)
+    cost = _cost(seen.features - features, at - prior.mean, whiten, prior_root)
+    damping = 1e-2
+    for _ in range(_ITERATIONS):
+        white = whiten @ jacobian
+        normal = white.T @ white + prior_root.T @ prior_root
+        downhill = white.T @ (whiten @ (seen.features - features)) - prior_root.T @ (prior_root @ (at - prior.mean))
+        moved = False
+        while damping < 1e4:
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
+            new = np.clip(at + step, prior.mean - _LOG_RANGE, prior.mean + _LOG_RANGE)
+            new_features, new_jacobian = _linear(seen, new)
+            new_cost = _cost(seen.features - new_features, new - prior.mean, whiten, prior_root)
+            if new_cost < cost:
+                moved = cost - new_cost > 1e-3
+                at, features, jacobian, cost = new, new_features, new_jacobian, new_cost
+                damping = max(damping / 10.0, 1e-6)
+                break
+            damping *= 10.0
+        if not moved:
+            break
+    white = whiten @ jacobian
+    posterior = np.linalg.inv(white.T @ white + prior_root.T @ prior_root)
+    return Fitted(at, posterior, seen.features - features, jacobian)
+
+
+def _linear(seen: Observed, at: Array) -> tuple[Array, Array]:
+    """Features (m,) and their derivatives (m, 9) with respect to the log-constants."""
+    count = len(NAMES)
+    lanes = np.exp(at + np.concatenate([np.zeros((1, count)), _DELTA * np.eye(count), -_DELTA * np.eye(count)]))
+    told = seen.simulated(lanes)
+    return told[0], (told[1 : count + 1] - told[count + 1 :]).T / (2.0 * _DELTA)
+
+
+def _cost(residual: Array, away: Array, whiten: Array, prior_root: Array) -> float:
+    return float(0.5 * (np.sum((whiten @ residual) ** 2) + np.sum((prior_root @ away) ** 2)))

@@ -1,0 +1,1 @@
+"""Training: from tracks to simulators."""
