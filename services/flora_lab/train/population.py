@@ -2,7 +2,7 @@
 
 Expectation-maximisation with Laplace's approximation: each plant's constants given what is known of all, then what is
 known of all given each plant's constants; the noise by maximum likelihood of the free-run residuals in between, with
-the plants' unknown constants integrated out. Literature enters as prior (:mod:`flora_lab.simulator.rod_parameters`).
+the plants' unknown constants integrated out. What was known before enters as prior.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from flora_lab.simulator.rod_fit import Fitted, Observed, Prior, Responses, covariance_of, fit
-from flora_lab.simulator.rod_noise import NOISE_NAMES, RodNoise
-from flora_lab.simulator.rod_parameters import prior_doubt, prior_mean, prior_spread
+from flora_lab.simulator.drives import NOISE_NAMES, DriveNoise
+from flora_lab.simulator.individual import Fitted, Observed, Prior, Responses, covariance_of, fit
 
 Array = npt.NDArray[Any]
 
@@ -34,6 +33,21 @@ _TIMES: Final = ("wander_h", "nutation_exponent", "nutation_period_min", "nutati
 
 
 @dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of the traits before any data.
+
+    Attributes:
+        mean: of the mean over plants, shape (traits,).
+        doubt: standard deviation of that, shape (traits,).
+        spread: covariance between plants, shape (traits, traits).
+    """
+
+    mean: Array
+    doubt: Array
+    spread: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Population:
     """What was learned.
 
@@ -44,57 +58,65 @@ class Population:
     """
 
     prior: Prior
-    noise: RodNoise
+    noise: DriveNoise
     plants: tuple[Fitted, ...]
 
 
-def learn(seen: Sequence[Observed], *, on_round: Callable[[int, int], None] = lambda done, of: None) -> Population:
+def learn(
+    seen: Sequence[Observed],
+    known: Known,
+    *,
+    starts: Sequence[Array] | None = None,
+    rounds: int = ROUNDS,
+    on_round: Callable[[int, int], None] = lambda done, of: None,
+) -> Population:
     """Learn a population from one run or more.
 
     Args:
-        seen: the runs.
+        seen: the runs, all under one law.
+        known: of its traits.
+        starts: traits to begin with, one per run.
+        rounds: of expectation and maximisation.
         on_round: told rounds done and rounds in all.
     """
-    spread0 = prior_spread()
-    prior, noise = Prior(prior_mean(), spread0 + np.diag(prior_doubt() ** 2)), RodNoise()
+    prior, noise = Prior(known.mean, known.spread + np.diag(known.doubt**2)), DriveNoise()
     fits: list[Fitted] = []
-    answers = [one.responses(np.exp(prior.mean)) for one in seen]
-    for number in range(ROUNDS):
-        starts = [f.log_parameters for f in fits] or [prior.mean] * len(seen)
+    answers = [one.responses(prior.mean) for one in seen]
+    first = [prior.mean] * len(seen) if starts is None else starts
+    for number in range(rounds):
         fits = [
             fit(one, prior, covariance_of(answer, noise), start)
-            for one, answer, start in zip(seen, answers, starts, strict=True)
+            for one, answer, start in zip(seen, answers, [f.traits for f in fits] or first, strict=True)
         ]
-        prior = _prior_of(fits, spread0)
-        typical = np.exp(prior.mean)
-        answers = [one.responses(typical) for one in seen]
+        prior = _prior_of(fits, known)
+        answers = [one.responses(prior.mean) for one in seen]
         noise = _noise_of(fits, answers, prior, noise)
-        on_round(number + 1, ROUNDS)
+        on_round(number + 1, rounds)
     return Population(prior, noise, tuple(fits))
 
 
-def _prior_of(fits: Sequence[Fitted], spread0: Array) -> Prior:
+def _prior_of(fits: Sequence[Fitted], known: Known) -> Prior:
     """Mean and covariance over plants: what the sources say, weighed against what the plants say."""
     count = len(fits)
-    values = np.stack([f.log_parameters for f in fits])
-    mean0, doubt = prior_mean(), np.diag(prior_doubt() ** 2)
+    values = np.stack([f.traits for f in fits])
+    doubt = np.diag(known.doubt**2)
     mean = values.mean(axis=0)
     for _ in range(3):
         away = values - mean
         scatter = away.T @ away + np.sum([f.covariance for f in fits], axis=0)
-        spread = (scatter + SPREAD_STRENGTH * spread0) / (count + SPREAD_STRENGTH)
+        spread = (scatter + SPREAD_STRENGTH * known.spread) / (count + SPREAD_STRENGTH)
         weight = doubt @ np.linalg.inv(doubt + spread / count)
-        mean = mean0 + weight @ (values.mean(axis=0) - mean0)
+        mean = known.mean + weight @ (values.mean(axis=0) - known.mean)
     return Prior(mean, spread)
 
 
-def _noise_of(fits: Sequence[Fitted], answers: Sequence[Responses], prior: Prior, noise: RodNoise) -> RodNoise:
+def _noise_of(fits: Sequence[Fitted], answers: Sequence[Responses], prior: Prior, noise: DriveNoise) -> DriveNoise:
     """The noise under which the residuals of the typical plant are most probable."""
-    first = RodNoise().as_array()
+    first = DriveNoise().as_array()
     doubt = np.array([_TIME_DOUBT if name in _TIMES else _SIZE_DOUBT for name in NOISE_NAMES])
     data = []
     for found, answer in zip(fits, answers, strict=True):
-        typical = found.residual + found.jacobian @ (found.log_parameters - prior.mean)
+        typical = found.residual + found.jacobian @ (found.traits - prior.mean)
         data.append((typical, answer, found.jacobian @ prior.covariance @ found.jacobian.T))
 
     def improbability(values: Array) -> float:

@@ -1,8 +1,8 @@
-"""What kind of plant it was that left a track: the rod's constants, by maximum a posteriori probability.
+"""What kind of plant it was that left a track: its traits, by maximum a posteriori probability.
 
 The residuals of a free run are whitened with the covariance that noise would give them (see
-:mod:`flora_lab.simulator.rod_noise`), so that a slow swing counts once and not once per photograph. Levenberg-Marquardt
-on the logarithms of the constants; derivatives by central differences, all of them side by side in one batch.
+:mod:`flora_lab.simulator.drives`), so that a slow swing counts once and not once per photograph. Levenberg-Marquardt,
+with derivatives by central differences, all of them side by side in one batch.
 """
 
 from __future__ import annotations
@@ -13,13 +13,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.runs import LampsSection
 from flora_common.shapes import STEM_POINTS
+from flora_lab.simulator.drives import DriveNoise
+from flora_lab.simulator.law import Law, standing
 from flora_lab.simulator.measured import MeasuredRun
-from flora_lab.simulator.rod import advance
-from flora_lab.simulator.rod_noise import RodNoise
-from flora_lab.simulator.rod_parameters import NAMES
-from flora_lab.simulator.rod_shape import rods_through
 
 Array = npt.NDArray[Any]
 
@@ -29,18 +26,19 @@ EVERY_H: Final = 1.0
 KNOT_H: Final = {"bias": 1.0 / 3.0, "growth": 1.0}
 """How finely noise is resolved in time; circumnutation has a period of 1.2 to 2.6 h."""
 _PUSH: Final = {"bias": 0.02, "growth": 0.2}
-_DELTA: Final = 0.03
+_DELTA_SD: Final = 0.2
+"""Half the distance of central differences, in standard deviations of the prior."""
 _ITERATIONS: Final = 12
-_LOG_RANGE: Final = 2.5
+RANGE_SD: Final = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of a plant before it is seen: its log-constants are normal.
+    """What is known of a plant before it is seen: its traits are normal.
 
     Attributes:
-        mean: shape (9,).
-        covariance: shape (9, 9).
+        mean: shape (traits,).
+        covariance: shape (traits, traits).
     """
 
     mean: Array
@@ -49,16 +47,16 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A plant's constants.
+    """A plant's traits.
 
     Attributes:
-        log_parameters: shape (9,).
-        covariance: of them, shape (9, 9), by Laplace's approximation.
+        traits: shape (traits,).
+        covariance: of them, shape (traits, traits), by Laplace's approximation.
         residual: measured minus simulated features, cm, shape (m,).
-        jacobian: of the features, shape (m, 9).
+        jacobian: of the features, shape (m, traits).
     """
 
-    log_parameters: Array
+    traits: Array
     covariance: Array
     residual: Array
     jacobian: Array
@@ -80,60 +78,52 @@ class Responses:
     growth_h: Array
     length_cm: Array
 
-    def covariance(self, noise: RodNoise) -> Array:
+    def covariance(self, noise: DriveNoise) -> Array:
         """Of the features, shape (m, m), without measuring error."""
         out = self.bias @ noise.bias_covariance(self.bias_h, self.length_cm) @ self.bias.T
         return np.asarray(out + self.growth @ noise.growth_covariance(self.growth_h) @ self.growth.T)
 
 
-def covariance_of(answer: Responses, noise: RodNoise) -> Array:
+def covariance_of(answer: Responses, noise: DriveNoise) -> Array:
     """Of a run's features: by chance, and by measuring."""
     chance = answer.covariance(noise)
     return np.asarray(chance + noise.measure_cm**2 * np.eye(len(chance)))
 
 
 class Observed:
-    """One run, ready to be compared with rods that start from its first stem.
+    """One run, ready to be compared with what a law makes of its first stem.
 
     Args:
         run: what was measured.
-        lamps: where they hang.
-        rows: how many of its rows are used; all where missing.
+        law: what makes stems bend and grow.
     """
 
-    def __init__(self, run: MeasuredRun, lamps: LampsSection, rows: int | None = None) -> None:
-        count = len(run) if rows is None else rows
-        self.run = run
+    def __init__(self, run: MeasuredRun, law: Law) -> None:
+        self.law = law
         self.step_h = run.step_s / 3600.0
         self.every = max(1, round(EVERY_H / self.step_h))
-        at = np.arange(self.every, count, self.every)
+        at = np.arange(self.every, len(run), self.every)
         if not len(at):  # a history shorter than an hour is judged by its last stem
-            self.every, at = count - 1, np.array([count - 1])
+            self.every, at = len(run) - 1, np.array([len(run) - 1])
         self.steps = int(at[-1])
         self.light = run.light[: self.steps]
-        self.lamps_cm = np.array([lamps.distance_cm, lamps.height_cm])
-        self._rod = rods_through(run.points_cm[:1])
+        self._first = standing(law, run.points_cm[:1])
         told = np.stack([run.points_cm[at, point, axis] for point, axis in FEATURES], axis=1).ravel()
         self.is_told = np.isfinite(told)
         self.features = told[self.is_told]
 
-    def points(self, parameters: Array, bias: Array | None = None, growth: Array | None = None) -> Array:
-        """Stems of rods at the rows compared, shape (rows, lanes, 10, 2).
+    def points(self, traits: Array, bias: Array | None = None, growth: Array | None = None) -> Array:
+        """Stems at the rows compared, shape (rows, lanes, 10, 2).
 
         Args:
-            parameters: shape (lanes, 9).
+            traits: shape (lanes, traits).
             bias, growth: drives, shape (steps, lanes); none and 1 where missing.
         """
-        lanes = len(parameters)
-        length, angle, count = (np.repeat(part, lanes, axis=0) for part in self._rod)
+        lanes = len(traits)
         out = np.empty((self.steps // self.every, lanes, STEM_POINTS, 2))
-        advance(
-            length,
-            angle,
-            count,
-            np.zeros((lanes, 2, 2)),
-            np.ascontiguousarray(parameters),
-            np.repeat(self.lamps_cm[None], lanes, axis=0),
+        self.law.advance(
+            self._first.repeated(lanes),
+            traits,
             np.repeat(self.light[:, None], lanes, axis=1),
             np.zeros((self.steps, lanes)) if bias is None else bias,
             np.ones((self.steps, lanes)) if growth is None else growth,
@@ -148,21 +138,21 @@ class Observed:
         all_of_them = np.stack([points[:, :, point, axis] for point, axis in FEATURES], axis=2)
         return np.asarray(all_of_them.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
-    def simulated(self, parameters: Array) -> Array:
+    def simulated(self, traits: Array) -> Array:
         """Features without noise, shape (lanes, m)."""
-        return self.of_points(self.points(parameters))
+        return self.of_points(self.points(traits))
 
-    def responses(self, parameters: Array) -> Responses:
-        """How this run would answer noise, for a plant with these constants (9,)."""
+    def responses(self, traits: Array) -> Responses:
+        """How this run would answer noise, for a plant with these traits."""
         found: dict[str, tuple[Array, Array]] = {}
-        still = self.points(parameters[None])
+        still = self.points(traits[None])
         base = self.of_points(still)[0]
         for name in ("bias", "growth"):
             per_knot = max(1, round(KNOT_H[name] / self.step_h))
             knots = -(-self.steps // per_knot)
             push = np.zeros((self.steps, knots))
             push[np.arange(self.steps), np.arange(self.steps) // per_knot] = _PUSH[name]
-            lanes = np.repeat(parameters[None], knots, axis=0)
+            lanes = np.repeat(traits[None], knots, axis=0)
             points = self.points(lanes, bias=push) if name == "bias" else self.points(lanes, growth=1.0 + push)
             middle_h = (np.arange(knots) + 0.5) * per_knot * self.step_h
             found[name] = ((self.of_points(points) - base).T / _PUSH[name], middle_h)
@@ -173,21 +163,23 @@ class Observed:
 
 
 def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = None) -> Fitted:
-    """The most probable constants of a plant.
+    """The most probable traits of a plant.
 
     Args:
         seen: its track.
-        prior: of its log-constants.
+        prior: of its traits.
         covariance: of the features, with measuring error, shape (m, m).
-        start: log-constants to begin with; the prior's mean where missing.
+        start: traits to begin with; the prior's mean where missing.
 
     Returns:
-        The fit. Log-constants stay within 2.5 of the prior's mean: beyond it no rod is a plant.
+        The fit. Traits stay within :data:`RANGE_SD` standard deviations of the prior: beyond it nothing is a plant.
     """
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     prior_root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
     at = prior.mean.copy() if start is None else start.copy()
-    features, jacobian = _linear(seen, at)
+    spread = np.sqrt(np.diag(prior.covariance))
+    low, high = prior.mean - RANGE_SD * spread, prior.mean + RANGE_SD * spread
+    features, jacobian = _linear(seen, at, spread)
     cost = _cost(seen.features - features, at - prior.mean, whiten, prior_root)
     damping = 1e-2
     for _ in range(_ITERATIONS):
@@ -197,8 +189,8 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
         moved = False
         while damping < 1e4:
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
-            new = np.clip(at + step, prior.mean - _LOG_RANGE, prior.mean + _LOG_RANGE)
-            new_features, new_jacobian = _linear(seen, new)
+            new = np.clip(at + step, low, high)
+            new_features, new_jacobian = _linear(seen, new, spread)
             new_cost = _cost(seen.features - new_features, new - prior.mean, whiten, prior_root)
             if new_cost < cost:
                 moved = cost - new_cost > 1e-3
@@ -213,12 +205,12 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
     return Fitted(at, posterior, seen.features - features, jacobian)
 
 
-def _linear(seen: Observed, at: Array) -> tuple[Array, Array]:
-    """Features (m,) and their derivatives (m, 9) with respect to the log-constants."""
-    count = len(NAMES)
-    lanes = np.exp(at + np.concatenate([np.zeros((1, count)), _DELTA * np.eye(count), -_DELTA * np.eye(count)]))
-    told = seen.simulated(lanes)
-    return told[0], (told[1 : count + 1] - told[count + 1 :]).T / (2.0 * _DELTA)
+def _linear(seen: Observed, at: Array, spread: Array) -> tuple[Array, Array]:
+    """Features (m,) and their derivatives (m, traits)."""
+    count = len(at)
+    away = np.diag(_DELTA_SD * spread)
+    told = seen.simulated(at + np.concatenate([np.zeros((1, count)), away, -away]))
+    return told[0], (told[1 : count + 1] - told[count + 1 :]).T / (2.0 * _DELTA_SD * spread)
 
 
 def _cost(residual: Array, away: Array, whiten: Array, prior_root: Array) -> float:

@@ -1,7 +1,7 @@
-"""What happens to a rod by chance: slow wander and circumnutation of its bending, noise of its growth.
+"""What happens to a plant by chance: slow wander and circumnutation of its bending, noise of its growth.
 
-The parts are Gaussian processes of the rod's two drives (bias of bending, factor on growth). Their effect on a track is
-linear to good approximation, so that the covariance of what is measured follows from the rod's own response to a push
+The parts are Gaussian processes of a law's two drives (bias of bending, factor on growth). Their effect on a track is
+linear to good approximation, so that the covariance of what is measured follows from the law's own response to a push
 at each time: no simulation by chance is needed to fit it, and errors of a free run, which grow and swing slowly, are
 never taken for independent ones.
 """
@@ -27,7 +27,7 @@ REFERENCE_CM: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class RodNoise:
+class DriveNoise:
     """Sizes and times of what happens by chance; all positive.
 
     Attributes:
@@ -73,7 +73,7 @@ class RodNoise:
         """Logarithms in the order of :data:`NOISE_NAMES`."""
         return np.log([getattr(self, name) for name in NOISE_NAMES])
 
-    def with_array(self, values: Array) -> RodNoise:
+    def with_array(self, values: Array) -> DriveNoise:
         """Undo :meth:`as_array`."""
         return replace(self, **dict(zip(NOISE_NAMES, np.exp(values).tolist(), strict=True)))
 
@@ -81,7 +81,7 @@ class RodNoise:
         return asdict(self)
 
     @staticmethod
-    def from_table(table: Any, *, where: str) -> RodNoise:
+    def from_table(table: Any, *, where: str) -> DriveNoise:
         """Undo :meth:`as_dict`.
 
         Raises:
@@ -92,21 +92,21 @@ class RodNoise:
         for name, value in table.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e6:
                 raise BadInput(f"{where}: scales.noise.{name} is {str(value)[:40]}, not a positive number")
-        return RodNoise(**{name: float(value) for name, value in table.items()})
+        return DriveNoise(**{name: float(value) for name, value in table.items()})
 
 
-NOISE_NAMES: Final = tuple(field.name for field in fields(RodNoise))
+NOISE_NAMES: Final = tuple(field.name for field in fields(DriveNoise))
 
 
 class Drives:
-    """The drives of some plants, step by step: Gauss-Markov processes with the covariances of :class:`RodNoise`.
+    """The drives of some plants, step by step: Gauss-Markov processes with the covariances of :class:`DriveNoise`.
 
     Args:
         noise: sizes and times.
         seeds: one per plant; what happens to a plant follows from its seed and the number of the step alone.
     """
 
-    def __init__(self, noise: RodNoise, seeds: Array) -> None:
+    def __init__(self, noise: DriveNoise, seeds: Array) -> None:
         self._noise = noise
         self.seeds = np.asarray(seeds, dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""From ten points to a rod: a smooth line through a measured stem, cut into segments."""
+"""From ten points to a chain of segments and back: a smooth line through a measured stem."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The constants of the growing rod, what was known of them before any data, and how plants differ in them."""
+"""The constants of the mechanistic law, what was known of them before any data, and how plants differ in them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PARAMETERS: Final = (
     Parameter("proprioception_per_h", 0.7, 0.7, 0.15, "Bastien et al. 2013: curvature decays within hours"),
     Parameter("photo_latency_min", 20.0, 0.5, 0.30, "Arabidopsis, buckwheat: a few minutes to about 60 min"),
 )
-"""In the order of the columns in :mod:`flora_lab.simulator.rod`."""
+"""In the order of the columns in :mod:`flora_lab.simulator.tropism`."""
 
 NAMES: Final = tuple(p.name for p in PARAMETERS)
 
