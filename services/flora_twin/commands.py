@@ -129,18 +129,24 @@ def grow_runs(
     seed: Seed = 1,
     open_loop: Annotated[int, typer.Option(min=0, max=1000, help="Runs with six-hour switching.")] = OPEN_LOOP,
     closed_loop: Annotated[int, typer.Option(min=0, max=1000, help="Runs that follow the tip.")] = CLOSED_LOOP,
+    random_loop: Annotated[
+        int, typer.Option("--random", min=0, max=1000, help="Runs under random light, each under its own.")
+    ] = 0,
     hours: Annotated[float, typer.Option(help="Length of each run.")] = HOURS,
 ) -> None:
-    """Grow the paper's dataset experiments without pictures: run folders with run.toml and track.csv."""
+    """Grow the paper's dataset experiments without pictures: run folders with run.toml and track.csv.
+
+    Each run is of another individual: SEED, SEED + 1, ...
+    """
     if output.exists():
         raise BadInput(f"{output}: is there already; name another folder with -o")
     if seed < 0:
         raise BadInput(f"--seed: {seed} is below 0")
-    if open_loop + closed_loop == 0:
-        raise BadInput("no runs: --open-loop and --closed-loop are both 0")
+    if open_loop + closed_loop + random_loop == 0:
+        raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
-    runs = dataset_runs(seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours)
+    runs = dataset_runs(seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours, random_loops=random_loop)
     with files.whole_folder(output) as folder:
         for run in runs:
             inner = RunFolder(folder / run.name)

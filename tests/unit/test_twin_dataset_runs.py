@@ -13,7 +13,7 @@ from flora_common.tracks import Track, read_track
 from flora_controller.steering import TipFollower, TipFollowerSection, View
 from flora_twin.grow import grow
 from flora_twin.main import main
-from flora_twin.runs import dataset_runs, tip_follower
+from flora_twin.runs import DWELL_H, dataset_runs, random_schedule, tip_follower
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +83,51 @@ def test_the_tip_follower_holds_the_lamp_near_its_target() -> None:
     assert steer(0.0, 3.4, "dark") == "left"
 
 
+def dwells_h(track: Track) -> list[tuple[str, float]]:
+    """Lamp and hours of every stretch under one lamp, from the first row on."""
+    shone = track.light[1:]
+    starts = [i for i in range(len(shone)) if i == 0 or shone[i] != shone[i - 1]]
+    return [(shone[start], (end - start) / 12) for start, end in zip(starts, [*starts[1:], len(shone)], strict=True)]
+
+
+def test_random_light_is_another_for_each_run_and_keeps_its_limits() -> None:
+    runs = dataset_runs(5000, open_loops=0, closed_loops=0, random_loops=12, hours=72)
+    assert [run.name for run in runs] == [f"random-{i}" for i in range(1, 13)]
+    assert [run.run_file.plant for run in runs] == [f"virtual bean, seed {i}" for i in range(5000, 5012)]
+    assert {run.run_file.target for run in runs} == {None}
+    stretches = [dwells_h(run.track) for run in runs]
+    assert all(stretches.count(own) == 1 for own in stretches)
+    assert {own[0][0] for own in stretches} == {"left", "right"}
+    whole = np.array([hours for own in stretches for _, hours in own[:-1]])  # the end of the run cuts the last
+    shortest, longest = DWELL_H
+    frame_h = 1 / 12
+    assert whole.min() >= shortest - frame_h
+    assert whole.max() <= longest + frame_h
+    # some 160 uniform draws of deviation 2.7 h: three standard errors are 0.65 h; the end of a run favours short ones
+    assert whole.mean() == pytest.approx((shortest + longest) / 2, abs=0.9)
+    assert whole.max() - whole.min() > 8.0
+
+
+def test_a_random_schedule_follows_from_the_individual_alone() -> None:
+    assert random_schedule(7, 72.0).startswith(random_schedule(7, 10.0))
+    assert random_schedule(7, 72.0) != random_schedule(8, 72.0)
+    alone = dataset_runs(8, open_loops=0, closed_loops=0, random_loops=1, hours=30)[0]
+    third = dataset_runs(6, open_loops=1, closed_loops=0, random_loops=2, hours=30)[2]
+    assert alone.run_file == third.run_file
+    assert alone.track.light == third.track.light
+    assert third.track.points_cm == pytest.approx(alone.track.points_cm, abs=1e-9)
+
+
+def test_random_runs_leave_the_others_as_they_are(nine: Path, tmp_path: Path) -> None:
+    more = tmp_path / "more"
+    assert main(["runs", "-o", str(more), "--hours", "25", "--seed", "4", "--random", "2"]) == 0
+    names = {path.name for path in nine.iterdir()}
+    assert {path.name for path in more.iterdir()} == names | {"random-1", "random-2"}
+    for path in nine.rglob("*.*"):
+        assert (more / path.relative_to(nine)).read_bytes() == path.read_bytes()
+    assert RunFolder(more / "random-2").read_run_file().plant == "virtual bean, seed 14"
+
+
 def test_the_same_seed_gives_the_same_files(nine: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     assert main(["runs", "-o", str(again), "--hours", "25", "--seed", "4"]) == 0
@@ -97,6 +142,7 @@ def test_the_same_seed_gives_the_same_files(nine: Path, tmp_path: Path) -> None:
         (["--hours", "nan"], "hours is nan"),
         (["--open-loop", "0", "--closed-loop", "0"], "no runs"),
         (["--seed", "-1"], "is below 0"),
+        (["--random", "-1"], "--random"),
     ],
 )
 def test_bad_input_is_told_in_one_line(

@@ -1,0 +1,37 @@
+"""Any simulator folder as the simulated plant that it holds."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Final
+
+from flora_common.errors import BadInput
+from flora_lab.simulator.interface import Simulator
+from flora_lab.simulator.store import INFO_FILE, read_stored
+
+KINDS: Final = {
+    "paper": "flora_lab.simulator.paper:PaperSimulator",
+    "sequence": "flora_lab.simulator.sequence:SequenceSimulator",
+    "mechanistic": "flora_lab.simulator.rod_simulator:RodSimulator",
+}
+"""``kind`` in ``simulator.toml`` to the class that reads it, with ``from_stored(stored)``. Imported when it is needed:
+a kind's libraries take their time."""
+
+
+def load(path: Path) -> Simulator[Any]:
+    """The simulated plant in a folder.
+
+    Raises:
+        BadInput: see :func:`flora_lab.simulator.store.read_stored`; a kind that this program does not know; or weights
+            and scales that are not what the kind needs.
+    """
+    stored = read_stored(path)
+    place = KINDS.get(stored.info.kind)
+    if place is None:
+        raise BadInput(
+            f"{path / INFO_FILE}: kind `{stored.info.kind[:40]}` is not known; this program reads {', '.join(KINDS)}"
+        )
+    module, _, name = place.partition(":")
+    simulator: Simulator[Any] = getattr(importlib.import_module(module), name).from_stored(stored)
+    return simulator
