@@ -40,7 +40,7 @@ def rods_through(points_cm: Array) -> tuple[Array, Array, Array]:
     length, angle = np.zeros((batch, CAPACITY)), np.zeros((batch, CAPACITY))
     count = np.zeros(batch, dtype=np.int64)
     for b in range(batch):
-        line = _spline(points[b])
+        line = smooth_line(points[b])
         step = np.hypot(*np.diff(line, axis=0).T)
         arc = np.concatenate([[0.0], np.cumsum(step)])
         if arc[-1] < 0.1:
@@ -64,7 +64,7 @@ def points_of(length: Array, angle: Array, count: Array) -> Array:
     return out
 
 
-def _spline(points: Array) -> Array:
+def smooth_line(points: Array) -> Array:
     """Natural cubic spline through points (n, 2) that differ, at ``_FINE`` places per piece."""
     gap = np.hypot(*np.diff(points, axis=0).T)
     points = points[np.concatenate([[True], gap > 1e-6])]

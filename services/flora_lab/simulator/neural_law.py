@@ -1,0 +1,267 @@
+"""The learned law: a small LSTM that says how fast a stem bends at each distance from its tip, and how fast it grows.
+
+Every step it is told the angles of the stem at some distances from the tip, the stem's length, the lamps, and what kind
+of plant it is; its memory can hold what the stem does not show (what shone before, the phase of a rhythm). It says
+rates only. Tissue beyond the last distance does not bend; what a stem became, it stays, and lengths never shrink.
+
+Several members, each trained without some of the plants, have memories of their own and bend one stem at the mean of
+their rates. How much they disagree tells where the model does not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.errors import BadInput
+from flora_lab.simulator.fast_tanh import fast_tanh
+from flora_lab.simulator.law import Stems
+from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, length_of, points_lane, split
+
+Array = npt.NDArray[Any]
+
+STEP_H: Final = LONGEST_STEP_H
+NODES_CM: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.5, 13.5, 17.0)
+"""Distances from the tip at which angles are told and rates are said; linear in between."""
+FADE_CM: Final = 4.0
+"""Beyond the last node the rate falls to zero over this distance."""
+KINDS: Final = 2
+"""Numbers that tell the network what kind of plant it is."""
+ANGLE_SCALE: Final = 2.0
+LENGTH_MIDDLE_CM: Final = 14.0
+LENGTH_SCALE_CM: Final = 8.0
+RATE_PER_CM_H: Final = 0.1
+"""Bending rate of soft tissue for an output of 1."""
+GROWTH_CM_PER_H: Final = 0.15
+GROWTH_OFFSET: Final = 1.0
+"""The rate of growth is ``GROWTH_CM_PER_H * softplus(output + GROWTH_OFFSET)``: never below zero."""
+VIGOUR: Final = 0.12
+"""Relative change of the rate of growth for a trait ``vigour`` of 1: plants differ by 10 to 15 %."""
+BIAS_FOLD_CM: Final = 5.0
+"""A bias from outside acts on tissue of the tip and e-fold less with this distance (Ohad et al.: stiffness)."""
+
+WEIGHTS: Final = ("w_ih", "w_hh", "b", "w_out", "b_out")
+INPUTS: Final = len(NODES_CM) + 1 + 2 + KINDS
+OUTPUTS: Final = len(NODES_CM) + 1
+
+_NODES: Final = np.array(NODES_CM)
+_COUNT: Final = len(NODES_CM)
+_NO_TISSUE_CM: Final = 1e-3
+
+
+@jit
+def _place(d: float, start: int) -> tuple[int, float, float]:
+    """The node below a distance (from ``start`` on), and the weights of it and of the next."""
+    k = start
+    while k + 1 < _COUNT and _NODES[k + 1] <= d:
+        k += 1
+    if k + 1 < _COUNT:
+        share = (d - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
+        return k, 1.0 - share, share
+    return k, max(0.0, 1.0 - (d - _NODES[k]) / FADE_CM), 0.0
+
+
+@jit
+def _look(length: Array, angle: Array, n: int, total_cm: float, inputs: Array) -> None:
+    """Angles at the nodes, as means over the tissue round them, and the length."""
+    told, weight = np.zeros(_COUNT), np.zeros(_COUNT)
+    d, k = 0.0, 0
+    for j in range(n - 1, -1, -1):
+        middle = d + 0.5 * length[j]
+        d += length[j]
+        k, here, above = _place(middle, k)
+        told[k] += here * length[j] * angle[j]
+        weight[k] += here * length[j]
+        if above > 0.0:
+            told[k + 1] += above * length[j] * angle[j]
+            weight[k + 1] += above * length[j]
+    for i in range(_COUNT):
+        inputs[i] = ANGLE_SCALE * told[i] / (weight[i] + _NO_TISSUE_CM)
+    inputs[_COUNT] = (total_cm - LENGTH_MIDDLE_CM) / LENGTH_SCALE_CM
+
+
+@jit
+def _think(
+    inputs: Array, memory: Array, w_ih: Array, w_hh: Array, b: Array, w_out: Array, b_out: Array, out: Array
+) -> None:
+    """One step of one member: h and c in ``memory``, outputs in ``out``; gates in the order i, f, g, o."""
+    hidden = memory.shape[1]
+    gates = b.copy()
+    for i in range(inputs.shape[0]):
+        for j in range(4 * hidden):
+            gates[j] += inputs[i] * w_ih[i, j]
+    for i in range(hidden):
+        h = np.float32(memory[0, i])
+        for j in range(4 * hidden):
+            gates[j] += h * w_hh[i, j]
+    half = np.float32(0.5)
+    for j in range(2 * hidden):
+        gates[j] = half + half * fast_tanh(half * gates[j])
+    for j in range(2 * hidden, 3 * hidden):
+        gates[j] = fast_tanh(gates[j])
+    for j in range(3 * hidden, 4 * hidden):
+        gates[j] = half + half * fast_tanh(half * gates[j])
+    for j in range(hidden):
+        c = gates[hidden + j] * np.float32(memory[1, j]) + gates[j] * gates[2 * hidden + j]
+        memory[1, j] = c
+        memory[0, j] = gates[3 * hidden + j] * fast_tanh(c)
+    out[:] = b_out
+    for i in range(hidden):
+        h = np.float32(memory[0, i])
+        for j in range(out.shape[0]):
+            out[j] += h * w_out[i, j]
+
+
+@jit
+def _bend(length: Array, angle: Array, n: int, total_cm: float, rates: Array, bias: float, dt_h: float) -> None:
+    d, turn = total_cm, 0.0
+    for j in range(n):
+        if d < _NODES[_COUNT - 1] + FADE_CM:
+            k, here, above = _place(d, 0)
+            rate = here * rates[k]
+            if above > 0.0:
+                rate += above * rates[k + 1]
+            reach = length[j] if j == 0 else 0.5 * (length[j] + length[j - 1])
+            turn += dt_h * reach * (RATE_PER_CM_H * rate + bias * np.exp(-d / BIAS_FOLD_CM))
+        angle[j] += turn
+        d -= length[j]
+
+
+@numba.njit(cache=True, error_model="numpy", parallel=True)
+def _advance(
+    length: Array,
+    angle: Array,
+    count: Array,
+    memory: Array,
+    traits: Array,
+    w_ih: Array,
+    w_hh: Array,
+    b: Array,
+    w_out: Array,
+    b_out: Array,
+    zone_cm: float,
+    light: Array,
+    bias: Array,
+    growth: Array,
+    parts: int,
+    every: int,
+    out: Array,
+) -> None:
+    """See :meth:`flora_lab.simulator.law.Law.advance`."""
+    members = w_ih.shape[0]
+    for lane in numba.prange(length.shape[0]):
+        n = count[lane]
+        angles = np.zeros(_COUNT + 1)
+        inputs = np.zeros(INPUTS, dtype=np.float32)
+        said = np.zeros(OUTPUTS, dtype=np.float32)
+        rates = np.zeros(_COUNT)
+        for i in range(KINDS):
+            inputs[_COUNT + 3 + i] = traits[lane, 1 + i]
+        for k in range(light.shape[0]):
+            for _ in range(parts):
+                total = length_of(length[lane], n)
+                _look(length[lane], angle[lane], n, total, angles)
+                for i in range(_COUNT + 1):
+                    inputs[i] = angles[i]
+                inputs[_COUNT + 1], inputs[_COUNT + 2] = light[k, lane, 0], light[k, lane, 1]
+                rates[:] = 0.0
+                grown = 0.0
+                for m in range(members):
+                    _think(inputs, memory[lane, m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said)
+                    for i in range(_COUNT):
+                        rates[i] += said[i] / members
+                    grown += np.logaddexp(0.0, said[_COUNT] + GROWTH_OFFSET) / members
+                grown *= GROWTH_CM_PER_H * np.exp(VIGOUR * traits[lane, 0]) * max(0.0, growth[k, lane]) * STEP_H
+                _bend(length[lane], angle[lane], n, total, rates, bias[k, lane], STEP_H)
+                elongate(length[lane], n, total, zone_cm, grown)
+                n = split(length[lane], angle[lane], n)
+            if (k + 1) % every == 0:
+                points_lane(length[lane], angle[lane], n, out[(k + 1) // every - 1, lane])
+        count[lane] = n
+
+
+class NeuralLaw:
+    """The learned law.
+
+    Args:
+        weights: by the names of :data:`WEIGHTS`, float32; the first axis of each is the member.
+        zone_cm: length of the zone below the tip that elongates.
+
+    Raises:
+        ValueError: shapes that do not fit one another.
+    """
+
+    traits: Final = ("vigour", *(f"kind_{i + 1}" for i in range(KINDS)))
+
+    def __init__(self, weights: Mapping[str, Array], zone_cm: float) -> None:
+        self.weights = {name: np.ascontiguousarray(weights[name], dtype=np.float32) for name in WEIGHTS}
+        members, hidden = self.weights["w_hh"].shape[:2]
+        for name, shape in weight_shapes(members, hidden).items():
+            if self.weights[name].shape != shape:
+                raise ValueError(f"`{name}` is {self.weights[name].shape}; expected {shape}")
+        self.zone_cm = zone_cm
+        self._shape = (members, 2, hidden)
+
+    @property
+    def memory_shape(self) -> tuple[int, ...]:
+        """Member, h and c, cell."""
+        return self._shape
+
+    def member(self, m: int) -> NeuralLaw:
+        """The law of one member alone."""
+        return NeuralLaw({name: array[m : m + 1] for name, array in self.weights.items()}, self.zone_cm)
+
+    def advance(
+        self,
+        stems: Stems,
+        traits: Array,
+        light: Array,
+        bias: Array,
+        growth: Array,
+        step_h: float,
+        every: int,
+        out: Array,
+    ) -> None:
+        """See :meth:`flora_lab.simulator.law.Law.advance`.
+
+        Raises:
+            BadInput: a step that is no multiple of five minutes: the network knows that one only.
+        """
+        parts = round(step_h / STEP_H)
+        if parts < 1 or abs(parts * STEP_H - step_h) > 1e-6:
+            raise BadInput(f"a step of {3600.0 * step_h:g} s: the network takes multiples of {3600.0 * STEP_H:g} s")
+        w = self.weights
+        _advance(
+            stems.length,
+            stems.angle,
+            stems.count,
+            stems.memory,
+            np.ascontiguousarray(traits, dtype=np.float64),
+            w["w_ih"],
+            w["w_hh"],
+            w["b"],
+            w["w_out"],
+            w["b_out"],
+            self.zone_cm,
+            np.ascontiguousarray(light, dtype=np.float64),
+            bias,
+            growth,
+            parts,
+            every,
+            out,
+        )
+
+
+def weight_shapes(members: int, hidden: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the weights."""
+    return {
+        "w_ih": (members, INPUTS, 4 * hidden),
+        "w_hh": (members, hidden, 4 * hidden),
+        "b": (members, 4 * hidden),
+        "w_out": (members, hidden, OUTPUTS),
+        "b_out": (members, OUTPUTS),
+    }

@@ -1,0 +1,133 @@
+"""What a training has come to, beside the simulator that it will become.
+
+``.NAME.checkpoint`` beside the folder ``NAME`` is one safetensors file: the arrays, and in its header as JSON what else
+is needed and what the work is. It is replaced whole, so whoever is killed has the one before. It goes when the
+simulator stands.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import safetensors
+import safetensors.numpy
+
+from flora_common import files
+from flora_common.errors import BadInput
+
+FORMAT: Final = "flora-checkpoint-1"
+EVERY_S: Final = 1.0
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """The content of a checkpoint.
+
+    Attributes:
+        arrays: name to array.
+        state: plain values: the number of the epoch, what the stopping rule remembers, ...
+    """
+
+    arrays: Mapping[str, Array]
+    state: Mapping[str, Any]
+
+
+def checkpoint_path(output: Path) -> Path:
+    """Where the checkpoint of the simulator ``output`` lies."""
+    return output.parent / f".{output.name}.checkpoint"
+
+
+class Checkpoint:
+    """The checkpoint of one piece of work. A context manager: what was offered last is on the disk when it ends.
+
+    Args:
+        path: of :func:`checkpoint_path`.
+        work: what the work is, as plain values: data, seed, settings, software. Another work's checkpoint is refused.
+        every_s: how often to write at most; writing takes longer than an epoch may.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        work: Mapping[str, Any],
+        *,
+        every_s: float = EVERY_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.path = path
+        self._work: dict[str, Any] = json.loads(json.dumps(work))
+        self._every_s = every_s
+        self._clock = clock
+        self._written_s = clock()
+        self._pending: Saved | None = None
+
+    def __enter__(self) -> Checkpoint:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.flush()
+
+    def offer(self, arrays: Mapping[str, Array], state: Mapping[str, Any]) -> None:
+        """Tell what there is after an epoch. It is copied, and written if the last time was ``every_s`` ago.
+
+        Raises:
+            DiskFull: no room; the checkpoint before it stands.
+        """
+        self._pending = Saved({name: array.copy() for name, array in arrays.items()}, dict(state))
+        if self._clock() - self._written_s >= self._every_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what was offered last, unless it is written already."""
+        if self._pending is None:
+            return
+        header = {"format": FORMAT, "work": json.dumps(self._work), "state": json.dumps(self._pending.state)}
+        files.write_bytes(self.path, safetensors.numpy.save(dict(self._pending.arrays), header))
+        self._pending = None
+        self._written_s = self._clock()
+
+    def load(self) -> Saved | None:
+        """What was kept, or None where there is no checkpoint.
+
+        Raises:
+            BadInput: it cannot be read, or is of other work; one line that says what differs.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            with safetensors.safe_open(self.path, framework="numpy") as file:
+                header = file.metadata() or {}
+                arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
+            if header.get("format") != FORMAT:
+                raise BadInput(f"{self.path}: not a checkpoint; {_REMEDY}")
+            work, state = json.loads(header["work"]), json.loads(header["state"])
+        except (safetensors.SafetensorError, ValueError, KeyError) as problem:
+            raise BadInput(f"{self.path}: is damaged; {_REMEDY}") from problem
+        for name in sorted({*self._work, *work}):
+            then, now = work.get(name), self._work.get(name)
+            if then != now:
+                raise BadInput(
+                    f"{self.path}: is of other work, {name} was {_short(then)} and is {_short(now)} now; {_REMEDY}"
+                )
+        return Saved(arrays, state)
+
+
+_REMEDY = "leave --resume out to begin anew"
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:12]}…"
