@@ -6,9 +6,10 @@ comma  := ,
 STAMP  := $(VENV)/.extras-$(subst $(comma),-,$(EXTRAS))
 SEED   ?= 1
 BENCH_VENV := .venv-bench
+KERAS_VENV := .venv-bench-keras
 SPEED  ?= lockstep
 
-.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision pins clean
+.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -60,6 +61,15 @@ $(BENCH_VENV)/.made: tests/bench/vision/requirements.txt
 	@$(BIN)/python -m venv $(BENCH_VENV)
 	@$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@$(BENCH_VENV)/bin/python -c 'import cv2' || { echo "make bench-vision: PlantCV's OpenCV needs: sudo apt install libgl1 libglib2.0-0" >&2; exit 2; }
+	@touch $@
+
+bench-training: setup $(KERAS_VENV)/.made  ## seconds per epoch of both recipes beside Keras (BENCH='--repeats 9 --json FILE')
+	@$(BIN)/python tests/bench/bench_training.py $(BENCH)
+
+# Keras and TensorFlow never share an environment with the rig.
+$(KERAS_VENV)/.made: tests/bench/training/requirements.txt
+	@$(BIN)/python -m venv $(KERAS_VENV)
+	@$(KERAS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
 
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)

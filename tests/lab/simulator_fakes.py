@@ -47,7 +47,7 @@ class StraightPlant(Simulator[Straight]):
     def from_stored(cls, stored: Stored) -> StraightPlant:
         return cls(speed=stored.scale("speed"), shift_cm=stored.scale("shift_cm"), beyond_cm=stored.scale("beyond_cm"))
 
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> Straight:
+    def start(self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None) -> Straight:
         return Straight(points_cm[:, -1].copy(), np.full(len(points_cm), GROWTH_CM_H))
 
     def watch(self, history: History) -> Straight:

@@ -155,7 +155,7 @@ def test_runs_give_the_network_of_the_training_set_made_of_them(
     runs: list[str], data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, inputs in (("runs", runs), ("data", [str(data)])):
-        assert main(["train", *inputs, "-o", str(tmp_path / name), "--epochs", "3", "--json"]) == 0
+        assert main(["train", *inputs, "-o", str(tmp_path / name), "--recipe", "paper", "--epochs", "3", "--json"]) == 0
     one, two = (json.loads(line) for line in capsys.readouterr().out.splitlines())
     assert one["results"] == two["results"]
     assert one["weights_sha256"] == two["weights_sha256"]
@@ -165,7 +165,7 @@ def test_runs_give_the_network_of_the_training_set_made_of_them(
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(data: Path, tmp_path: Path) -> None:
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
         options = ["--epochs", "2", "--seed", seed, "--quiet"]
-        assert main(["train", str(data), "-o", str(tmp_path / name), *options]) == 0
+        assert main(["train", str(data), "-o", str(tmp_path / name), "--recipe", "paper", *options]) == 0
     for file in ("simulator.toml", "weights.safetensors", "training.png"):
         a, b, c = ((tmp_path / name / file).read_bytes() for name in "abc")
         assert a == b
@@ -174,7 +174,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(data: Path, tmp
 
 def test_by_plant_whole_plants_are_held_out(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sim"
-    assert main(["train", str(data), "-o", str(out), "--split", "plant", "--epochs", "4"]) == 0
+    assert main(["train", str(data), "-o", str(out), "--recipe", "paper", "--split", "plant", "--epochs", "4"]) == 0
     said = capsys.readouterr().out
     info = read_stored(out).info
     parts = {track.plant: track.part for track in info.provenance.track}
@@ -188,7 +188,25 @@ def test_by_plant_whole_plants_are_held_out(data: Path, tmp_path: Path, capsys: 
 
 def test_what_it_says(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sim"
-    assert main(["train", str(data), "-o", str(out), "--epochs", "2", "--batch", "64", "--patience", "1"]) == 0
+    assert (
+        main(
+            [
+                "train",
+                str(data),
+                "-o",
+                str(out),
+                "--recipe",
+                "paper",
+                "--epochs",
+                "2",
+                "--batch",
+                "64",
+                "--patience",
+                "1",
+            ]
+        )
+        == 0
+    )
     said, err = capsys.readouterr()
     print(said)
     found = results(out)
@@ -214,7 +232,7 @@ def test_what_it_says(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
 def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     """The one line with which a command ends that has bad input."""
     capsys.readouterr()
-    assert main(["train", *arguments]) == 2
+    assert main(["train", "--recipe", "paper", *arguments]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1, err

@@ -60,7 +60,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def command(data: Path, out: Path, *more: str) -> list[str]:
-    return ["train", str(data), "-o", str(out), "--epochs", "20", "--patience", "50", *more]
+    return ["train", str(data), "-o", str(out), "--recipe", "paper", "--epochs", "20", "--patience", "50", *more]
 
 
 @pytest.fixture(scope="module")

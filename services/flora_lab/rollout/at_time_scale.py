@@ -58,9 +58,11 @@ class AtTimeScale(Simulator[Between[StateT]]):
         self.factor = factor
         self.step_s = simulator.step_s
 
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> Between[StateT]:
+    def start(
+        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
+    ) -> Between[StateT]:
         """See :meth:`Simulator.start`."""
-        return self._arrived(self.simulator.start(points_cm, chance))
+        return self._arrived(self.simulator.start(points_cm, chance, before))
 
     def watch(self, history: History) -> Between[StateT]:
         """See :meth:`Simulator.watch`; the simulator sees the history in steps of its own time."""

@@ -157,7 +157,8 @@ def _simulate(
         past = History(batch.points_cm[: row + 1, chosen], batch.light[:row, chosen], batch.step_s, covariates)
         state = simulator.watch(past)
     else:
-        state = simulator.start(batch.points_cm[row, chosen])
+        lit_before = batch.light[row - 1, chosen] if row else None
+        state = simulator.start(batch.points_cm[row, chosen], before=lit_before)
     stems, beyond = [simulator.stems_cm(state)], [simulator.is_beyond_data(state)]
     for k in range(row, row + ahead):
         now = {name: values[k, chosen] for name, values in batch.covariates.items()}
@@ -168,17 +169,19 @@ def _simulate(
 
 
 def one_step(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> OneStep:
-    """Every row that holds a stem and has one after it, as a plant of its own of which nothing else is known."""
+    """Every row that holds a stem and has one after it, as a plant of its own of which the lamps before are known."""
     batch = side_by_side(runs)
     stem = np.isfinite(batch.points_cm[..., -1, 0])
     run, row = np.nonzero((stem[:-1] & stem[1:]).T)
     before, after = batch.points_cm[row, run], batch.points_cm[row + 1, run]
     light = batch.light[row, run]
+    lit_before = np.where(row[:, None] > 0, batch.light[row - 1, run], 0.0)
     simulated = np.empty_like(before)
     for first in range(0, len(run), AT_ONCE):
         part = slice(first, first + AT_ONCE)
         now = {name: values[row[part], run[part]] for name, values in batch.covariates.items()}
-        _, simulated[part] = simulator.step(simulator.start(before[part]), light[part], batch.step_s, now)
+        state = simulator.start(before[part], before=lit_before[part])
+        _, simulated[part] = simulator.step(state, light[part], batch.step_s, now)
     return OneStep(run, errors_between(simulated, after, before))
 
 

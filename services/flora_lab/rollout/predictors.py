@@ -26,7 +26,9 @@ class NothingMoves(Simulator[FloatArray]):
     def __init__(self, step_s: float = STEP_S) -> None:
         self.step_s = step_s
 
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> FloatArray:
+    def start(
+        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
+    ) -> FloatArray:
         """See :meth:`Simulator.start`."""
         return points_cm.copy()
 
@@ -79,7 +81,7 @@ class GoesOn(Simulator[Going]):
     def __init__(self, step_s: float = STEP_S) -> None:
         self.step_s = step_s
 
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> Going:
+    def start(self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None) -> Going:
         """See :meth:`Simulator.start`."""
         return Going(points_cm.copy(), np.zeros_like(points_cm))
 

@@ -22,6 +22,8 @@ from flora_lab.simulator.store import Stored
 Array = npt.NDArray[Any]
 
 LONGEST_STEP_S: Final = 86_400.0
+LIT_BEFORE_S: Final = 3600.0
+"""How long the lamps that shone before a start are taken to have shone: plants answer within half an hour."""
 _INDIVIDUAL: Final = 10
 """Stream of random numbers that a plant's traits are drawn from; its drives have others."""
 
@@ -77,9 +79,12 @@ class GrowingSimulator(Simulator[GrowingState]):
         self.step_s = step_s
         self._root = np.linalg.cholesky(prior.covariance)
 
-    def start(self, points_cm: Array, chance: Chance | None = None) -> GrowingState:
+    def start(self, points_cm: Array, chance: Chance | None = None, before: Array | None = None) -> GrowingState:
         stems = standing(self.law, points_cm)
         traits = np.repeat(self.prior.mean[None], len(stems.count), axis=0)
+        if before is not None:
+            light = np.repeat(np.asarray(before, dtype=np.float64)[None], round(LIT_BEFORE_S / STEP_S), axis=0)
+            stems = replace(stems, memory=self._memory_after(stems, traits, light, STEP_S))
         if chance is None:
             return GrowingState(stems, traits)
         drives = Drives(self.noise, chance.seeds)
@@ -96,12 +101,15 @@ class GrowingSimulator(Simulator[GrowingState]):
             return GrowingState(stems, traits)
         for b in range(batch):
             traits[b] = self._recognised(history, b)
-        # The plants remember what a simulated plant of their kind remembers after the same light.
-        light = np.ascontiguousarray(history.light)
-        still, whole = np.zeros(light.shape[:2]), np.ones(light.shape[:2])
         first = standing(self.law, history.points_cm[0])
-        memory = advanced(self.law, first, traits, light, still, whole, history.step_s / 3600.0).memory
+        memory = self._memory_after(first, traits, history.light, history.step_s)
         return GrowingState(replace(stems, memory=memory), traits)
+
+    def _memory_after(self, first: Stems, traits: Array, light: Array, step_s: float) -> Array:
+        """Plants remember what simulated plants of their kind remember after the same light."""
+        still, whole = np.zeros(light.shape[:2]), np.ones(light.shape[:2])
+        lit = np.ascontiguousarray(light, dtype=np.float64)
+        return advanced(self.law, first, traits, lit, still, whole, step_s / 3600.0).memory
 
     def _recognised(self, history: History, b: int) -> Array:
         time_s = np.arange(len(history.points_cm), dtype=np.float64) * history.step_s

@@ -179,7 +179,7 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
     at = prior.mean.copy() if start is None else start.copy()
     spread = np.sqrt(np.diag(prior.covariance))
     low, high = prior.mean - RANGE_SD * spread, prior.mean + RANGE_SD * spread
-    features, jacobian = _linear(seen, at, spread)
+    features, jacobian = linearised(seen, at, spread)
     cost = _cost(seen.features - features, at - prior.mean, whiten, prior_root)
     damping = 1e-2
     for _ in range(_ITERATIONS):
@@ -190,7 +190,7 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
         while damping < 1e4:
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
             new = np.clip(at + step, low, high)
-            new_features, new_jacobian = _linear(seen, new, spread)
+            new_features, new_jacobian = linearised(seen, new, spread)
             new_cost = _cost(seen.features - new_features, new - prior.mean, whiten, prior_root)
             if new_cost < cost:
                 moved = cost - new_cost > 1e-3
@@ -205,8 +205,14 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
     return Fitted(at, posterior, seen.features - features, jacobian)
 
 
-def _linear(seen: Observed, at: Array, spread: Array) -> tuple[Array, Array]:
-    """Features (m,) and their derivatives (m, traits)."""
+def linearised(seen: Observed, at: Array, spread: Array) -> tuple[Array, Array]:
+    """Features (m,) of a plant and their derivatives (m, traits) with respect to its traits.
+
+    Args:
+        seen: the run.
+        at: traits, shape (traits,).
+        spread: how much plants differ in them, shape (traits,): derivatives are differences over a share of it.
+    """
     count = len(at)
     away = np.diag(_DELTA_SD * spread)
     told = seen.simulated(at + np.concatenate([np.zeros((1, count)), away, -away]))

@@ -62,10 +62,13 @@ class Simulator(ABC, Generic[StateT]):
     """The step that it was made for."""
 
     @abstractmethod
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> StateT:
-        """Plants of which one stem is known, shape (batch, 10, 2).
+    def start(self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None) -> StateT:
+        """Plants of which one stem is known.
 
-        Without ``chance`` all are the typical plant and nothing happens by chance.
+        Args:
+            points_cm: shape (batch, 10, 2).
+            chance: without it all are the typical plant and nothing happens by chance.
+            before: levels of the lamps that shone up to now, shape (batch, 2); the dark where missing.
         """
 
     @abstractmethod

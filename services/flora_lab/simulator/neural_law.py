@@ -1,8 +1,11 @@
 """The learned law: a small LSTM that says how fast a stem bends at each distance from its tip, and how fast it grows.
 
-Every step it is told the angles of the stem at some distances from the tip, the stem's length, the lamps, and what kind
-of plant it is; its memory can hold what the stem does not show (what shone before, the phase of a rhythm). It says
-rates only. Tissue beyond the last distance does not bend; what a stem became, it stays, and lengths never shrink.
+Every step it is told the angles of the stem at some distances from the tip, the stem's length, and the lamps; its
+memory can hold what the stem does not show (what shone before, the phase of a rhythm). It says rates only. Tissue
+beyond the last distance does not bend; what a stem became, it stays, and lengths never shrink.
+
+Plants differ in three traits that act round the network: how fast they grow, how fast they bend, and how far they lean.
+A plant that leans farther is to the network a typical one whose angles are all smaller.
 
 Several members, each trained without some of the plants, have memories of their own and bend one stem at the mean of
 their rates. How much they disagree tells where the model does not know.
@@ -29,8 +32,6 @@ NODES_CM: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.5, 13.5, 17.0)
 """Distances from the tip at which angles are told and rates are said; linear in between."""
 FADE_CM: Final = 4.0
 """Beyond the last node the rate falls to zero over this distance."""
-KINDS: Final = 2
-"""Numbers that tell the network what kind of plant it is."""
 ANGLE_SCALE: Final = 2.0
 LENGTH_MIDDLE_CM: Final = 14.0
 LENGTH_SCALE_CM: Final = 8.0
@@ -39,14 +40,15 @@ RATE_PER_CM_H: Final = 0.1
 GROWTH_CM_PER_H: Final = 0.15
 GROWTH_OFFSET: Final = 1.0
 """The rate of growth is ``GROWTH_CM_PER_H * softplus(output + GROWTH_OFFSET)``: never below zero."""
-VIGOUR: Final = 0.12
-"""Relative change of the rate of growth for a trait ``vigour`` of 1: plants differ by 10 to 15 %."""
+TRAIT_SHARE: Final = 0.12
+"""What a trait of 1 changes, as a logarithm: plants differ by 10 to 15 % in all that they do."""
 BIAS_FOLD_CM: Final = 5.0
 """A bias from outside acts on tissue of the tip and e-fold less with this distance (Ohad et al.: stiffness)."""
 
 WEIGHTS: Final = ("w_ih", "w_hh", "b", "w_out", "b_out")
-INPUTS: Final = len(NODES_CM) + 1 + 2 + KINDS
+INPUTS: Final = len(NODES_CM) + 1 + 2
 OUTPUTS: Final = len(NODES_CM) + 1
+TRAITS: Final = ("growth", "speed", "lean")
 
 _NODES: Final = np.array(NODES_CM)
 _COUNT: Final = len(NODES_CM)
@@ -159,23 +161,23 @@ def _advance(
         inputs = np.zeros(INPUTS, dtype=np.float32)
         said = np.zeros(OUTPUTS, dtype=np.float32)
         rates = np.zeros(_COUNT)
-        for i in range(KINDS):
-            inputs[_COUNT + 3 + i] = traits[lane, 1 + i]
+        vigour, speed, lean = np.exp(TRAIT_SHARE * traits[lane])
         for k in range(light.shape[0]):
             for _ in range(parts):
                 total = length_of(length[lane], n)
                 _look(length[lane], angle[lane], n, total, angles)
-                for i in range(_COUNT + 1):
-                    inputs[i] = angles[i]
+                for i in range(_COUNT):
+                    inputs[i] = angles[i] / lean
+                inputs[_COUNT] = angles[_COUNT]
                 inputs[_COUNT + 1], inputs[_COUNT + 2] = light[k, lane, 0], light[k, lane, 1]
                 rates[:] = 0.0
                 grown = 0.0
                 for m in range(members):
                     _think(inputs, memory[lane, m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said)
                     for i in range(_COUNT):
-                        rates[i] += said[i] / members
+                        rates[i] += speed * lean * said[i] / members
                     grown += np.logaddexp(0.0, said[_COUNT] + GROWTH_OFFSET) / members
-                grown *= GROWTH_CM_PER_H * np.exp(VIGOUR * traits[lane, 0]) * max(0.0, growth[k, lane]) * STEP_H
+                grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth[k, lane])
                 _bend(length[lane], angle[lane], n, total, rates, bias[k, lane], STEP_H)
                 elongate(length[lane], n, total, zone_cm, grown)
                 n = split(length[lane], angle[lane], n)
@@ -195,7 +197,7 @@ class NeuralLaw:
         ValueError: shapes that do not fit one another.
     """
 
-    traits: Final = ("vigour", *(f"kind_{i + 1}" for i in range(KINDS)))
+    traits: Final = TRAITS
 
     def __init__(self, weights: Mapping[str, Array], zone_cm: float) -> None:
         self.weights = {name: np.ascontiguousarray(weights[name], dtype=np.float32) for name in WEIGHTS}

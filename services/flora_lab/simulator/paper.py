@@ -152,7 +152,9 @@ class PaperSimulator(Simulator[PaperState]):
         """What goes into ``[scales]``."""
         return {"unit_cm": self.unit_cm, "stateful": self.stateful}
 
-    def start(self, points_cm: FloatArray, chance: Chance | None = None) -> PaperState:
+    def start(
+        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
+    ) -> PaperState:
         """See :meth:`Simulator.start`. Nothing happens by chance in this simulator, so ``chance`` changes nothing."""
         points = self._units(points_cm)
         return PaperState(points, self.network.cell.zero_state(len(points)) if self.stateful else None)

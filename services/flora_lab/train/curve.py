@@ -10,13 +10,19 @@ from matplotlib.figure import Figure
 
 
 def curve_png(
-    train: Sequence[float], validate: Sequence[float], best_epoch: int, *, level: tuple[str, float] | None = None
+    train: Sequence[float],
+    validate: Sequence[float],
+    best_epoch: int,
+    *,
+    level: tuple[str, float] | None = None,
+    unit: str = "mean absolute error (normalised unit)",
 ) -> bytes:
     """Both losses over epochs, on a logarithmic axis.
 
     Args:
         train, validate: L_t and L_v per epoch, in units.
         best_epoch: the one whose weights were kept, counted from 1.
+        unit: of the losses, as the axis names it.
         level: name and loss of a trivial predictor, drawn as a line.
 
     Returns:
@@ -32,7 +38,7 @@ def curve_png(
     if level is not None:
         axes.axhline(level[1], color="black", linestyle=":", linewidth=1, label=level[0])
     axes.set_yscale("log")
-    axes.set(xlabel="epoch", ylabel="mean absolute error (normalised unit)")
+    axes.set(xlabel="epoch", ylabel=unit)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)
     png = io.BytesIO()

@@ -7,7 +7,7 @@ the plants' unknown constants integrated out. What was known before enters as pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -17,14 +17,29 @@ import scipy.linalg
 import scipy.optimize
 
 from flora_lab.simulator.drives import NOISE_NAMES, DriveNoise
-from flora_lab.simulator.individual import Fitted, Observed, Prior, Responses, covariance_of, fit
+from flora_lab.simulator.individual import (
+    KNOT_H,
+    Fitted,
+    Observed,
+    Prior,
+    Responses,
+    covariance_of,
+    fit,
+    linearised,
+)
 
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
 SPREAD_STRENGTH: Final = 9.0
 """The prior of the spread counts as much as this many plants."""
-_SMALLEST_MEASURE_CM: Final = 0.05
+SMALLEST_MEASURE_CM: Final = 0.05
+"""What the linear approximation leaves is never less, however well the stems were measured."""
+_IMPOSSIBLE: Final = 1e12
+_SIZE_RANGE: Final = 3.0
+_TIME_RANGE: Final = 1.5
+_PERIOD_RANGE: Final = 0.5
+"""How far logarithms may go from what the sources say. Circumnutation of common bean: 74 to 155 min (Ohad et al.)."""
 _SIZE_DOUBT: Final = 1.0
 _TIME_DOUBT: Final = 0.3
 """Standard deviations of the logarithms of the noise's numbers before any data. A short strong noise of growth and a
@@ -62,37 +77,38 @@ class Population:
     plants: tuple[Fitted, ...]
 
 
-def learn(
-    seen: Sequence[Observed],
-    known: Known,
-    *,
-    starts: Sequence[Array] | None = None,
-    rounds: int = ROUNDS,
-    on_round: Callable[[int, int], None] = lambda done, of: None,
-) -> Population:
-    """Learn a population from one run or more.
+def first_guess(known: Known) -> Population:
+    """What there is before any data."""
+    return Population(Prior(known.mean, known.spread + np.diag(known.doubt**2)), DriveNoise(), ())
+
+
+def improved(seen: Sequence[Observed], known: Known, before: Population) -> Population:
+    """One round of expectation and maximisation.
 
     Args:
-        seen: the runs, all under one law.
+        seen: the runs, all under one law. Two runs of one plant count as two plants.
         known: of its traits.
-        starts: traits to begin with, one per run.
-        rounds: of expectation and maximisation.
-        on_round: told rounds done and rounds in all.
+        before: of the round before, or :func:`first_guess`.
     """
-    prior, noise = Prior(known.mean, known.spread + np.diag(known.doubt**2)), DriveNoise()
-    fits: list[Fitted] = []
+    prior, noise = before.prior, before.noise
+    starts = [found.traits for found in before.plants] or [prior.mean] * len(seen)
+    fits = [
+        fit(one, prior, covariance_of(one.responses(prior.mean), noise), start)
+        for one, start in zip(seen, starts, strict=True)
+    ]
+    prior = _prior_of(fits, known)
     answers = [one.responses(prior.mean) for one in seen]
-    first = [prior.mean] * len(seen) if starts is None else starts
-    for number in range(rounds):
-        fits = [
-            fit(one, prior, covariance_of(answer, noise), start)
-            for one, answer, start in zip(seen, answers, [f.traits for f in fits] or first, strict=True)
-        ]
-        prior = _prior_of(fits, known)
-        answers = [one.responses(prior.mean) for one in seen]
-        noise = _noise_of(fits, answers, prior, noise)
-        on_round(number + 1, rounds)
+    typical = [found.residual + found.jacobian @ (found.traits - prior.mean) for found in fits]
+    noise = _noise_of(typical, [found.jacobian for found in fits], answers, prior)
     return Population(prior, noise, tuple(fits))
+
+
+def noise_about(seen: Sequence[Observed], prior: Prior) -> DriveNoise:
+    """What happens by chance, if the plants differ as ``prior`` says and the law is right about the typical one."""
+    linear = [linearised(one, prior.mean, np.sqrt(np.diag(prior.covariance))) for one in seen]
+    residuals = [one.features - told for one, (told, _) in zip(seen, linear, strict=True)]
+    answers = [one.responses(prior.mean) for one in seen]
+    return _noise_of(residuals, [jacobian for _, jacobian in linear], answers, prior)
 
 
 def _prior_of(fits: Sequence[Fitted], known: Known) -> Prior:
@@ -110,32 +126,32 @@ def _prior_of(fits: Sequence[Fitted], known: Known) -> Prior:
     return Prior(mean, spread)
 
 
-def _noise_of(fits: Sequence[Fitted], answers: Sequence[Responses], prior: Prior, noise: DriveNoise) -> DriveNoise:
-    """The noise under which the residuals of the typical plant are most probable."""
-    first = DriveNoise().as_array()
+def _noise_of(
+    residuals: Sequence[Array], jacobians: Sequence[Array], answers: Sequence[Responses], prior: Prior
+) -> DriveNoise:
+    """The noise under which the residuals of the typical plant are most probable, whatever the traits of each."""
+    guess = DriveNoise()
+    first = guess.as_array()
     doubt = np.array([_TIME_DOUBT if name in _TIMES else _SIZE_DOUBT for name in NOISE_NAMES])
-    data = []
-    for found, answer in zip(fits, answers, strict=True):
-        typical = found.residual + found.jacobian @ (found.traits - prior.mean)
-        data.append((typical, answer, found.jacobian @ prior.covariance @ found.jacobian.T))
+    individual = [jacobian @ prior.covariance @ jacobian.T for jacobian in jacobians]
 
     def improbability(values: Array) -> float:
-        if not np.all(np.abs(values - first) < 4.0):
-            return 1e12
-        tried = noise.with_array(values)
-        if tried.measure_cm < _SMALLEST_MEASURE_CM:
-            return 1e12
+        tried = guess.with_array(values)
+        if tried.measure_cm < SMALLEST_MEASURE_CM or tried.growth_h < KNOT_H["growth"]:
+            return _IMPOSSIBLE
         total = 0.5 * float(np.sum(((values - first) / doubt) ** 2))
-        for residual, answer, individual in data:
-            covariance = covariance_of(answer, tried) + individual
+        for residual, answer, differing in zip(residuals, answers, individual, strict=True):
             try:
-                root = np.linalg.cholesky(covariance)
+                root = np.linalg.cholesky(covariance_of(answer, tried) + differing)
             except np.linalg.LinAlgError:
-                return 1e12
+                return _IMPOSSIBLE
             white = scipy.linalg.solve_triangular(root, residual, lower=True)
             total += float(np.log(np.diag(root)).sum() + 0.5 * white @ white)
         return total
 
     options = {"maxfev": 30 * len(NOISE_NAMES), "xtol": 0.02, "ftol": 1e-5}
-    found = scipy.optimize.minimize(improbability, noise.as_array(), method="Powell", options=options)
-    return noise.with_array(np.asarray(found.x))
+    reach = np.where(doubt == _TIME_DOUBT, _TIME_RANGE, _SIZE_RANGE)
+    reach[NOISE_NAMES.index("nutation_period_min")] = _PERIOD_RANGE
+    bounds = list(zip(first - reach, first + reach, strict=True))
+    found = scipy.optimize.minimize(improbability, first, method="Powell", bounds=bounds, options=options)
+    return guess.with_array(np.asarray(found.x))

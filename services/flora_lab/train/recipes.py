@@ -119,8 +119,12 @@ class TrainRecipe:
         return cast(FromData, importlib.import_module(self.module).train_on_data)
 
 
-RECIPES: Final = {"paper": TrainRecipe("flora_lab.train.paper", takes_data=True)}
-DEFAULT_RECIPE: Final = "paper"
+RECIPES: Final = {
+    "sequence": TrainRecipe("flora_lab.train.sequence", takes_data=False),
+    "mechanistic": TrainRecipe("flora_lab.train.mechanistic", takes_data=False),
+    "paper": TrainRecipe("flora_lab.train.paper", takes_data=True),
+}
+DEFAULT_RECIPE: Final = "sequence"
 
 
 def generator(seed: int, purpose: int, *more: int) -> np.random.Generator:

@@ -57,13 +57,15 @@ class SequenceSettings:
 
     members: int = 4
     hidden: int = 32
-    steps: int = 36
-    windows: int = 54
+    steps: int = 72
+    windows: int = 36
     rate: float = 8e-3
     epochs: int = 36
     patience: int = 10
     near_cm: float = 0.05
     per_h_cm: float = 0.05
+    length_share: float = 0.4
+    length_weight: float = 1.0
     mirror: bool = True
 
 
@@ -79,6 +81,11 @@ class Curve:
     train: list[float]
     validate: list[float]
     best_epoch: list[int]
+
+
+def _robust(squares: Tensor) -> Tensor:
+    """Of squared errors in units of what is near: half the square when small, the error itself when large."""
+    return torch.sqrt(1.0 + squares) - 1.0
 
 
 def device() -> torch.device:
@@ -214,6 +221,9 @@ class SequenceTraining:
         line = self.tracks.line_cm[run[:, None], np.minimum(told, last + 1)]
         known = torch.tensor(inside & np.isfinite(line[:, :, 0, 0]), device=self.device)
         lines = torch.tensor(np.nan_to_num(line), device=self.device)
+        grown = torch.tensor(
+            np.nan_to_num(self.tracks.length[run[:, None], np.minimum(told, last + 1)].sum(-1)), device=self.device
+        )
         members = self.settings.members
         length = torch.tensor(self.tracks.length[run, row], device=self.device).expand(members, -1, -1)
         angle = torch.tensor(self.tracks.angle[run, row], device=self.device).expand(members, -1, -1)
@@ -222,7 +232,9 @@ class SequenceTraining:
         for k, (lengths, angles) in enumerate(stems):
             near_cm = self.settings.near_cm + self.settings.per_h_cm * (k + 1) * every / 12.0
             away = distances_cm(lengths, angles, lines[:, k])
-            total = total + (torch.sqrt(1.0 + away / near_cm**2) - 1.0).mean(-1) * known[:, k]
+            shape = _robust(away / near_cm**2).mean(-1)
+            size = _robust(((lengths.sum(-1) - grown[:, k]) / (self.settings.length_share * near_cm)) ** 2)
+            total = total + (shape + self.settings.length_weight * size) * known[:, k]
         return total / known.sum(1).clamp(min=1)
 
     def _keep_best(self, validate: Array) -> None:

@@ -21,14 +21,14 @@ from flora_lab.simulator.neural_law import (
     GROWTH_CM_PER_H,
     GROWTH_OFFSET,
     INPUTS,
-    KINDS,
     LENGTH_MIDDLE_CM,
     LENGTH_SCALE_CM,
     NODES_CM,
     OUTPUTS,
     RATE_PER_CM_H,
     STEP_H,
-    VIGOUR,
+    TRAIT_SHARE,
+    TRAITS,
 )
 from flora_lab.simulator.rod import ZONE_EDGE_CM
 from flora_lab.train.windows import PLACES
@@ -65,7 +65,7 @@ class LawNet(nn.Module):
         self.w_out = drawn(members, hidden, OUTPUTS, scale=0.3 * size)
         self.b_out = nn.Parameter(torch.zeros(members, OUTPUTS))
         self.log_zone = nn.Parameter(torch.full((members,), math.log(ZONE_CM)))
-        self.traits = nn.Parameter(torch.zeros(plants, 1 + KINDS))
+        self.traits = nn.Parameter(torch.zeros(plants, len(TRAITS)))
 
     @property
     def members(self) -> int:
@@ -134,23 +134,24 @@ def free_run(
     hidden = net.w_hh.shape[1]
     h = length.new_zeros(members, windows, hidden)
     c = torch.zeros_like(h)
-    kinds = traits[:, 1:].expand(members, windows, KINDS)
-    vigour = torch.exp(VIGOUR * traits[:, :1]) * (GROWTH_CM_PER_H * STEP_H)
+    vigour, speed, lean = torch.exp(TRAIT_SHARE * traits).chunk(len(TRAITS), dim=-1)
+    grows, sees, bends = vigour * (GROWTH_CM_PER_H * STEP_H), ANGLE_SCALE / lean, speed * lean
     b, b_out = net.b.unsqueeze(1), net.b_out.unsqueeze(1)
     told = []
     for k in range(len(light)):
         if k % REFRESH == 0:
             fixed = _weights(length, net.log_zone)
-        look = (angle.unsqueeze(-2) @ fixed.look).squeeze(-2) * ANGLE_SCALE
+        look = (angle.unsqueeze(-2) @ fixed.look).squeeze(-2) * sees
         size = (length.sum(-1, keepdim=True) - LENGTH_MIDDLE_CM) / LENGTH_SCALE_CM
-        seen = torch.cat([look, size, light[k].expand(members, windows, 2), kinds], dim=-1)
+        seen = torch.cat([look, size, light[k].expand(members, windows, 2)], dim=-1)
         gates = torch.baddbmm(b, seen, net.w_ih) + torch.bmm(h, net.w_hh)
         i, f, g, o = gates.chunk(4, dim=-1)
         c = torch.sigmoid(f) * c + torch.sigmoid(i) * torch.tanh(g)
         h = torch.sigmoid(o) * torch.tanh(c)
         said = torch.baddbmm(b_out, h, net.w_out)
-        angle = angle + (fixed.bend @ said[..., :-1].unsqueeze(-1)).squeeze(-1).cumsum(-1)
-        length = length + fixed.share * (nn.functional.softplus(said[..., -1:] + GROWTH_OFFSET) * vigour)
+        rates = (said[..., :-1] * bends).unsqueeze(-1)
+        angle = angle + (fixed.bend @ rates).squeeze(-1).cumsum(-1)
+        length = length + fixed.share * (nn.functional.softplus(said[..., -1:] + GROWTH_OFFSET) * grows)
         if (k + 1) % every == 0:
             told.append((length, angle))
     return told

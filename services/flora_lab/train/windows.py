@@ -1,4 +1,4 @@
-"""Pieces of measured runs as the sequence recipe learns from them: a stem, the lamps after it, and the stems after it."""
+"""Pieces of measured runs as the sequence recipe learns from them: a stem, and lamps and stems after it."""
 
 from __future__ import annotations
 

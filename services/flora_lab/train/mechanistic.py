@@ -1,0 +1,121 @@
+"""The mechanistic recipe: the constants of the tropisms, fitted to every run in free running."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.errors import BadInput
+from flora_common.runs import LampsSection
+from flora_lab.run_tracks import RunTrack
+from flora_lab.simulator.drives import DriveNoise
+from flora_lab.simulator.individual import Fitted, Observed, Prior
+from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.tropism import TropismLaw
+from flora_lab.simulator.tropism_traits import NAMES, PARAMETERS, prior_doubt, prior_mean, prior_spread
+from flora_lab.train.checkpoint import Checkpoint
+from flora_lab.train.growing import range_of, trained, usable
+from flora_lab.train.population import Known, Population, first_guess, improved
+from flora_lab.train.recipes import Progress, Trained, TrainOptions
+
+Array = npt.NDArray[Any]
+
+ROUNDS: Final = 3
+SPLIT: Final = "none held out; judge with flora-lab rollout on runs of other plants"
+
+
+def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Trained:
+    """Fit the law's constants to measured runs: their mean and spread over plants, and what happens by chance.
+
+    Nothing is drawn; ``seed``, ``batch``, ``patience`` and ``split`` have nothing to say. An epoch is a round of
+    expectation and maximisation.
+
+    Raises:
+        BadInput: runs that are too short, or of boxes with lamps in different places.
+    """
+    measured = usable(runs)
+    lamps = lamps_of(runs, progress)
+    law = TropismLaw(lamps)
+    seen = [Observed(run, law) for run in measured]
+    known = Known(prior_mean(), prior_doubt(), prior_spread())
+    rounds = options.epochs or ROUNDS
+    work = {"recipe": "mechanistic", "tracks": [run.sha256 for run in runs]}
+    checkpoint = Checkpoint(options.checkpoint, work)
+    found, done = first_guess(known), 0
+    saved = checkpoint.load() if options.resume else None
+    if saved is not None:
+        found, done = _restored(saved.arrays, saved.state)
+    progress.begin(rounds, done)
+    with checkpoint:
+        for number in range(done + 1, rounds + 1):
+            found = improved(seen, known, found)
+            progress.epoch(number, {"cm": _size(found.plants)})
+            checkpoint.offer(*_state(found, number))
+            checkpoint.flush()
+    simulator = RodSimulator(lamps, found.prior, found.noise, range_of(measured), measured[0].step_s)
+    residuals = {run.name: round(_size([fit]), 4) for run, fit in zip(measured, found.plants, strict=True)}
+    return trained(
+        simulator,
+        measured,
+        recipe="mechanistic",
+        seed=options.seed,
+        split=SPLIT,
+        settings={"rounds": rounds},
+        results={"free_run_residual_cm": residuals, "rounds": rounds},
+        figures={},
+        table=_table(found),
+    )
+
+
+def lamps_of(runs: Sequence[RunTrack], progress: Progress) -> LampsSection:
+    """Where the lamps of all runs hang.
+
+    Raises:
+        BadInput: not in the same places.
+    """
+    told = [run for run in runs if run.lamps is not None]
+    for run in told:
+        if run.lamps != told[0].lamps:
+            raise BadInput(f"{run.file}: its lamps hang elsewhere than those of {told[0].file}; train them apart")
+    if told and told[0].lamps is not None:
+        return told[0].lamps
+    lamps = LampsSection()
+    progress.note(
+        f"no run.toml tells where the lamps hang: taken to be {lamps.distance_cm:g} cm to either side, "
+        f"{lamps.height_cm:g} cm high"
+    )
+    return lamps
+
+
+def _size(fits: Sequence[Fitted]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate([fit.residual for fit in fits]) ** 2)))
+
+
+def _state(found: Population, done: int) -> tuple[dict[str, Array], dict[str, Any]]:
+    arrays = {"mean": found.prior.mean, "covariance": found.prior.covariance}
+    for i, fit in enumerate(found.plants):
+        arrays |= {f"{i}.traits": fit.traits, f"{i}.covariance": fit.covariance}
+        arrays |= {f"{i}.residual": fit.residual, f"{i}.jacobian": fit.jacobian}
+    return arrays, {"round": done, "noise": found.noise.as_dict(), "plants": len(found.plants)}
+
+
+def _restored(arrays: Mapping[str, Array], state: Mapping[str, Any]) -> tuple[Population, int]:
+    fits = tuple(
+        Fitted(*(arrays[f"{i}.{name}"] for name in ("traits", "covariance", "residual", "jacobian")))
+        for i in range(state["plants"])
+    )
+    prior = Prior(arrays["mean"], arrays["covariance"])
+    return Population(prior, DriveNoise.from_table(state["noise"], where="checkpoint"), fits), int(state["round"])
+
+
+def _table(found: Population) -> list[str]:
+    spread = np.sqrt(np.diag(found.prior.covariance))
+    lines = [f"{'constant':<26}{'typical':>9}{'plants differ by':>18}{'before any data':>17}"]
+    for name, typical, differ, before in zip(NAMES, np.exp(found.prior.mean), spread, PARAMETERS, strict=True):
+        lines.append(f"{name:<26}{typical:>9.3f}{100.0 * differ:>16.0f} %{before.typical:>17.3f}")
+    residuals = [f"{10.0 * _size([fit]):.1f}" for fit in found.plants]
+    lines.append(f"free-run residual of each run with its own constants, mm: {', '.join(residuals)}")
+    return lines
