@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -19,14 +19,16 @@ from torch import Tensor
 
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.recipes import Progress, generator
-from flora_lab.train.sequence_net import LawNet, distances_cm, free_run
+from flora_lab.train.sequence_losses import CompiledLosses, Losses, TorchLosses
+from flora_lab.train.sequence_net import LawNet
 from flora_lab.train.stopping import EarlyStopping
-from flora_lab.train.windows import Tracks, draw_windows
+from flora_lab.train.windows import Scale, Starts, Tracks, Windows, windows_at
 
 Array = npt.NDArray[Any]
 
-TELL_EVERY: Final = 6
 FIRST_SHARE: Final = 0.15
+FEWEST_FOLDS: Final = 4
+"""No member does without more than about a quarter of the plants."""
 JUDGE_STEPS: Final = 288
 """Validation looks a day ahead."""
 JUDGE_STARTS: Final = 4
@@ -50,22 +52,18 @@ class SequenceSettings:
         rate: of learning, at its highest; it rises for the first tenth and falls to nothing as a cosine.
         epochs: at most; in one epoch as many steps are run as the tracks hold.
         patience: epochs without a better validation.
-        near_cm, per_h_cm: errors count as squares up to this size, which grows with the horizon, and as such beyond it:
-            chance swings a plant about, and must not pull the law about.
+        scale: how errors are weighed.
         mirror: learn from mirror images too.
     """
 
     members: int = 4
     hidden: int = 32
-    steps: int = 72
-    windows: int = 36
+    steps: int = 144
+    windows: int = 24
     rate: float = 8e-3
-    epochs: int = 36
-    patience: int = 10
-    near_cm: float = 0.05
-    per_h_cm: float = 0.05
-    length_share: float = 0.4
-    length_weight: float = 1.0
+    epochs: int = 80
+    patience: int = 20
+    scale: Scale = field(default_factory=Scale)
     mirror: bool = True
 
 
@@ -81,11 +79,6 @@ class Curve:
     train: list[float]
     validate: list[float]
     best_epoch: list[int]
-
-
-def _robust(squares: Tensor) -> Tensor:
-    """Of squared errors in units of what is near: half the square when small, the error itself when large."""
-    return torch.sqrt(1.0 + squares) - 1.0
 
 
 def device() -> torch.device:
@@ -113,8 +106,9 @@ def held_out(plants: int, members: int, seed: int) -> npt.NDArray[np.bool_]:
     if plants < 3:
         return mask
     order = generator(seed, _FOLDS).permutation(plants)
+    folds = max(members, FEWEST_FOLDS)
     for m in range(members):
-        mask[m, order[m::members] if m < plants else order[[m % plants]]] = True
+        mask[m, order[m::folds] if m < plants else order[[m % plants]]] = True
     return mask
 
 
@@ -138,10 +132,13 @@ class SequenceTraining:
         self.best_epoch = np.zeros(settings.members, dtype=np.int64)
         self.random = generator(seed, _WINDOWS)
         self.held = held_out(tracks.plants, settings.members, seed)
-        self._held = torch.tensor(self.held, device=self.device)
+        self._losses: Losses = CompiledLosses(self.net) if self.device.type == "cpu" else TorchLosses(self.net)
+        self._starts = Starts(tracks, settings.steps)
+        self._judged: tuple[Windows, Array] | None = None
         rest = [p for name, p in self.net.named_parameters() if name != "traits"]
         self.optimiser = torch.optim.Adam(
-            [{"params": rest, "lr": settings.rate}, {"params": [self.net.traits], "lr": TRAITS_RATE * settings.rate}]
+            [{"params": rest, "lr": settings.rate}, {"params": [self.net.traits], "lr": TRAITS_RATE * settings.rate}],
+            fused=True,
         )
         self.updates = max(4, math.ceil(tracks.vectors / (settings.windows * settings.steps)))
         self.stopping = EarlyStopping(settings.patience)
@@ -168,74 +165,36 @@ class SequenceTraining:
         return Curve(self.curve.train, self.curve.validate, self.best_epoch.tolist())
 
     def _epoch(self) -> float:
-        total = 0.0
+        settings, total = self.settings, 0.0
         for update in range(self.updates):
-            share = (self.stopping.epoch + update / self.updates) / self.settings.epochs
-            rate = self.settings.rate * min(1.0, share / WARM_SHARE + 0.05) * 0.5 * (1.0 + math.cos(math.pi * share))
+            share = (self.stopping.epoch + update / self.updates) / settings.epochs
+            rate = settings.rate * min(1.0, share / WARM_SHARE + 0.05) * 0.5 * (1.0 + math.cos(math.pi * share))
             for group, times in zip(self.optimiser.param_groups, (1.0, TRAITS_RATE), strict=True):
                 group["lr"] = rate * times
-            run, row = draw_windows(
-                self.tracks, self.settings.steps, self.settings.windows, self.random, first_share=FIRST_SHARE
-            )
-            loss = self._losses(run, row, self.settings.steps, self.net.centred_traits()[self._plant(run)])
-            learned = ~self._held[:, self._plant(run)]
-            per_member = (loss * learned).sum(1) / learned.sum(1).clamp(min=1)
-            doubt = TRAITS_DOUBT * (self.net.traits**2).sum()
+            run, row = self._starts.draw(settings.windows, self.random, first_share=FIRST_SHARE)
+            plant = self.tracks.plant[run]
+            learned = ~self.held[:, plant]
+            weight = (learned / np.maximum(learned.sum(1, keepdims=True), 1)).astype(np.float32)
             self.optimiser.zero_grad()
-            (per_member.sum() + doubt).backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(self.net.parameters(), LARGEST_GRADIENT * self.settings.members)
+            doubt = TRAITS_DOUBT * (self.net.traits**2).sum()
+            doubt.backward()  # type: ignore[no-untyped-call]
+            windows = windows_at(self.tracks, run, row, settings.steps, settings.scale)
+            total += self._losses.learn(windows, plant, weight)
+            torch.nn.utils.clip_grad_norm_(self.net.parameters(), LARGEST_GRADIENT * settings.members)
             self.optimiser.step()
-            total += float(per_member.detach().mean())
-        return total / self.updates
+        return total / (self.updates * settings.members)
 
     def _judge(self) -> Array:
         """Loss of each member on plants that it never learned from, with nothing known of them; shape (members,)."""
-        runs: list[int] = []
-        rows: list[int] = []
-        for track in range(len(self.tracks)):
-            last = max(1, int(self.tracks.rows[track]) - JUDGE_STEPS)
-            able = np.nonzero(self.tracks.can_start[track, :last])[0]
-            chosen = np.unique(able[np.linspace(0, len(able) - 1, JUDGE_STARTS).round().astype(int)])
-            runs += [track] * len(chosen)
-            rows += chosen.tolist()
-        run = np.array(runs)
-        steps = min(JUDGE_STEPS, self.tracks.line_cm.shape[1] - 1)
-        with torch.no_grad():
-            unknown = torch.zeros(len(run), self.net.traits.shape[1], device=self.device)
-            loss = self._losses(run, np.array(rows), steps, unknown)
-            asked = self._held[:, self._plant(run)]
-            asked = asked | ~asked.any(1, keepdim=True)  # no plant could be spared: judged by what it learned from
-            return np.asarray(((loss * asked).sum(1) / asked.sum(1)).cpu().numpy(), dtype=np.float64)
-
-    def _plant(self, run: Array) -> Tensor:
-        return torch.tensor(self.tracks.plant[run], device=self.device)
-
-    def _losses(self, run: Array, row: Array, steps: int, traits: Tensor) -> Tensor:
-        """Mean loss of each window, shape (members, windows)."""
-        every = min(TELL_EVERY, steps)
-        at = np.arange(steps)
-        last = self.tracks.light.shape[1] - 1
-        light = self.tracks.light[run[None], np.minimum(row[None] + at[:, None], last)]
-        told = row[:, None] + every * (1 + np.arange(steps // every))
-        inside = told < self.tracks.rows[run][:, None]
-        line = self.tracks.line_cm[run[:, None], np.minimum(told, last + 1)]
-        known = torch.tensor(inside & np.isfinite(line[:, :, 0, 0]), device=self.device)
-        lines = torch.tensor(np.nan_to_num(line), device=self.device)
-        grown = torch.tensor(
-            np.nan_to_num(self.tracks.length[run[:, None], np.minimum(told, last + 1)].sum(-1)), device=self.device
-        )
-        members = self.settings.members
-        length = torch.tensor(self.tracks.length[run, row], device=self.device).expand(members, -1, -1)
-        angle = torch.tensor(self.tracks.angle[run, row], device=self.device).expand(members, -1, -1)
-        stems = free_run(self.net, length, angle, torch.tensor(light, device=self.device), traits, every)
-        total = torch.zeros(members, len(run), device=self.device)
-        for k, (lengths, angles) in enumerate(stems):
-            near_cm = self.settings.near_cm + self.settings.per_h_cm * (k + 1) * every / 12.0
-            away = distances_cm(lengths, angles, lines[:, k])
-            shape = _robust(away / near_cm**2).mean(-1)
-            size = _robust(((lengths.sum(-1) - grown[:, k]) / (self.settings.length_share * near_cm)) ** 2)
-            total = total + (shape + self.settings.length_weight * size) * known[:, k]
-        return total / known.sum(1).clamp(min=1)
+        if self._judged is None:
+            run, row = Starts(self.tracks, JUDGE_STEPS).spread(JUDGE_STARTS)
+            steps = min(JUDGE_STEPS, self.tracks.light.shape[1])
+            self._judged = windows_at(self.tracks, run, row, steps, self.settings.scale), self.tracks.plant[run]
+        windows, plant = self._judged
+        asked = self.held[:, plant]
+        asked = asked | ~asked.any(1, keepdims=True)  # no plant could be spared: judged by what it learned from
+        weight = (asked / asked.sum(1, keepdims=True)).astype(np.float32)
+        return np.asarray((self._losses.tell(windows, weight) * weight).sum(1), dtype=np.float64)
 
     def _keep_best(self, validate: Array) -> None:
         better = validate < self.best_loss

@@ -1,4 +1,4 @@
-"""The learned law in torch, run free: what the sequence recipe differentiates.
+"""The learned law in torch, run free: the readable form, and what an accelerator runs.
 
 The same arithmetic as :mod:`flora_lab.simulator.neural_law`, for all members and windows at once, with two savings that
 change nothing that matters: a window keeps its segments (none is split), and what depends on their lengths alone is
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -31,10 +32,8 @@ from flora_lab.simulator.neural_law import (
     TRAITS,
 )
 from flora_lab.simulator.rod import ZONE_EDGE_CM
-from flora_lab.train.windows import PLACES
+from flora_lab.train.windows import PLACES, REFRESH, Windows
 
-REFRESH: Final = 6
-"""Steps between new weights of segments at nodes."""
 ZONE_CM: Final = 6.0
 """Where the growth zone's length starts from."""
 _NO_TISSUE_CM: Final = 1e-3
@@ -75,7 +74,7 @@ class LawNet(nn.Module):
         """Traits about their mean over plants, shape (plants, 3): the typical plant has zeros."""
         return self.traits - self.traits.mean(0)
 
-    def law_weights(self) -> dict[str, np.ndarray[Any, Any]]:
+    def law_weights(self) -> dict[str, npt.NDArray[Any]]:
         """For :class:`flora_lab.simulator.neural_law.NeuralLaw`."""
         names = ("w_ih", "w_hh", "b", "w_out", "b_out")
         return {name: getattr(self, name).detach().cpu().numpy().copy() for name in names}
@@ -180,3 +179,35 @@ def distances_cm(length: Tensor, angle: Tensor, line_cm: Tensor) -> Tensor:
         target = torch.gather(places, 2, below) * (1.0 - share) + torch.gather(places, 2, below + 1) * share
         away = away + (value - target) ** 2
     return away
+
+
+def losses(net: LawNet, windows: Windows, traits: Tensor) -> Tensor:
+    """Mean loss of each window.
+
+    Args:
+        net: the members.
+        windows: where from, and what the plants did.
+        traits: of the plants, shape (windows, traits).
+
+    Returns:
+        Shape (members, windows).
+    """
+    kind, place = net.b.dtype, net.b.device
+
+    def tensor(array: npt.NDArray[Any]) -> Tensor:
+        return torch.as_tensor(np.nan_to_num(array), device=place).to(kind)
+
+    length = tensor(windows.length).expand(net.members, -1, -1)
+    angle = tensor(windows.angle).expand(net.members, -1, -1)
+    line, line_length, known = tensor(windows.line_cm), tensor(windows.line_length_cm), tensor(windows.known)
+    total = torch.zeros(net.members, len(traits), dtype=kind, device=place)
+    for k, (lengths, angles) in enumerate(free_run(net, length, angle, tensor(windows.light), traits, windows.every)):
+        shape = _robust(distances_cm(lengths, angles, line[:, k]) / float(windows.near_cm[k]) ** 2).mean(-1)
+        size = _robust(((lengths.sum(-1) - line_length[:, k]) / float(windows.near_length_cm[k])) ** 2)
+        total = total + (shape + windows.length_weight * size) * known[:, k]
+    return total / known.sum(1).clamp(min=1)
+
+
+def _robust(squares: Tensor) -> Tensor:
+    """Of squared errors in units of what is near: half the square when small, the error itself when large."""
+    return torch.sqrt(1.0 + squares) - 1.0

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_lab.simulator.measured import MeasuredRun, side_by_side
+from flora_lab.simulator.neural_law import STEP_H
 from flora_lab.simulator.shape import smooth_line
 
 Array = npt.NDArray[Any]
@@ -20,6 +21,10 @@ FINER_AT_TIP: Final = 1.5
 """Power by which segments are shorter towards the tip, where stems bend and grow."""
 PLACES: Final = 33
 """Places along a measured stem, at equal arcs, that simulated ones are compared with."""
+TELL_EVERY: Final = 6
+"""Steps from one comparison to the next."""
+REFRESH: Final = 6
+"""Steps between new weights of a window's segments at the nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,27 +102,107 @@ def tracks_of(runs: Sequence[MeasuredRun], *, mirror: bool) -> Tracks:
     return Tracks(length, angle, line, light, plant, lengths, told)
 
 
-def draw_windows(
-    tracks: Tracks, steps: int, count: int, random: np.random.Generator, *, first_share: float
-) -> tuple[Array, Array]:
-    """Starts of windows, each at a measured stem with at least one later row within the run.
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Windows to run.
+
+    Attributes:
+        length, angle: stems to start from, shape (windows, SEGMENTS), cm and rad, float32.
+        light: levels, shape (steps, windows, 2), float32.
+        line_cm: measured stems at equal arcs, shape (windows, tellings, PLACES, 2), float32.
+        line_length_cm: their lengths, shape (windows, tellings), float32.
+        known: which of them there are, shape (windows, tellings), bool.
+        near_cm: errors of places count as squares up to it, shape (tellings,), float32.
+        near_length_cm: the same for errors of the length.
+        length_weight: of the loss of lengths beside that of places.
+        every: steps from one telling to the next.
+    """
+
+    length: Array
+    angle: Array
+    light: Array
+    line_cm: Array
+    line_length_cm: Array
+    known: Array
+    near_cm: Array
+    near_length_cm: Array
+    length_weight: float
+    every: int
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How errors are weighed.
+
+    Attributes:
+        near_cm, per_h_cm: errors count as squares up to this size, which grows with the horizon, and as such beyond it:
+            chance swings a plant about, and must not pull the law about.
+        length_share: what is near for the length of a stem, as a share of that.
+        length_weight: how much the length counts beside the places. Circumnutation hides growth from the tip, and
+            hardly from the length.
+    """
+
+    near_cm: float = 0.05
+    per_h_cm: float = 0.05
+    length_share: float = 0.4
+    length_weight: float = 1.0
+
+
+def windows_at(tracks: Tracks, run: Array, row: Array, steps: int, scale: Scale) -> Windows:
+    """Windows that start at given rows of given runs, each of shape (windows,).
+
+    What lies beyond a run's end is not known, and not compared.
+    """
+    every = min(TELL_EVERY, steps)
+    last = tracks.light.shape[1] - 1
+    light = tracks.light[run[None], np.minimum(row[None] + np.arange(steps)[:, None], last)]
+    ahead = every * (1 + np.arange(steps // every))
+    told = row[:, None] + ahead
+    at = run[:, None], np.minimum(told, last + 1)
+    known = (told < tracks.rows[run][:, None]) & np.isfinite(tracks.line_cm[:, :, 0, 0])[at]
+    near = (scale.near_cm + scale.per_h_cm * ahead * STEP_H).astype(np.float32)
+    return Windows(
+        tracks.length[run, row],
+        tracks.angle[run, row],
+        light,
+        tracks.line_cm[at],
+        tracks.length.sum(-1)[at],
+        known,
+        near,
+        np.float32(scale.length_share) * near,
+        scale.length_weight,
+        every,
+    )
+
+
+class Starts:
+    """Rows that windows can start at: those with a stem, and as much as possible of a window before the run's end.
 
     Args:
         tracks: where from.
-        steps: of a window; what goes beyond a run's end is not compared.
-        count: how many.
-        random: the source of chance.
-        first_share: share of windows that start at a run's first row.
-
-    Returns:
-        Index of the run, and the row, each of shape (count,).
+        steps: of a window.
     """
-    run = random.integers(0, len(tracks), count)
-    row = np.empty(count, dtype=np.int64)
-    at_first = random.random(count) < first_share
-    where = random.random(count)
-    for i in range(count):
-        last = max(1, int(tracks.rows[run[i]]) - steps)
-        able = np.nonzero(tracks.can_start[run[i], :last])[0]
-        row[i] = able[0] if at_first[i] else able[int(where[i] * len(able))]
-    return run, row
+
+    def __init__(self, tracks: Tracks, steps: int) -> None:
+        last = np.maximum(1, tracks.rows - steps)
+        able = [np.nonzero(tracks.can_start[run, : last[run]])[0] for run in range(len(tracks))]
+        self._count = np.array([len(rows) for rows in able])
+        self._first = np.concatenate([[0], np.cumsum(self._count)[:-1]])
+        self._row = np.concatenate(able)
+
+    def draw(self, count: int, random: np.random.Generator, *, first_share: float) -> tuple[Array, Array]:
+        """Runs and rows, each of shape (count,); ``first_share`` of them start at a run's first row."""
+        run = random.integers(0, len(self._count), count)
+        at_first = random.random(count) < first_share
+        where = random.random(count)
+        place = np.where(at_first, 0, (where * self._count[run]).astype(np.int64))
+        return run, self._row[self._first[run] + place]
+
+    def spread(self, per_run: int) -> tuple[Array, Array]:
+        """Runs and rows, so many of each run, spread evenly over it."""
+        runs, rows = [], []
+        for run, count in enumerate(self._count):
+            chosen = np.unique(np.linspace(0, count - 1, per_run).round().astype(np.int64))
+            runs.append(np.full(len(chosen), run))
+            rows.append(self._row[self._first[run] + chosen])
+        return np.concatenate(runs), np.concatenate(rows)

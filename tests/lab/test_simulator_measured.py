@@ -1,0 +1,189 @@
+"""Tracks in equal steps: gaps, a beat that is not exact, photographs taken twice, light and covariates over gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flora_common.errors import BadInput
+from flora_common.geometry import FloatArray
+from flora_common.runs import LEVELS, LampsSection, Light
+from flora_common.tracks import Track
+from flora_lab.run_tracks import RunTrack
+from flora_lab.simulator.measured import NEAR_SHARE, MeasuredRun, in_steps, side_by_side
+
+STEP_S = 300.0
+ALONG = np.linspace(0.0, 1.0, 10)
+
+
+def stems(heights_cm: Sequence[float]) -> FloatArray:
+    """Straight stems that lean a little to the right, told apart by their heights."""
+    return np.stack([ALONG[:, None] * np.array([0.1 * h, h]) for h in heights_cm])
+
+
+def a_run(
+    times_s: Sequence[float],
+    lights: Sequence[Light] | None = None,
+    *,
+    name: str = "run",
+    plant: str = "bean",
+    lamps: LampsSection | None = None,
+    **covariates: Sequence[float],
+) -> RunTrack:
+    """A track whose stem is ``5 + row`` cm high in each row."""
+    track = Track(
+        np.array(times_s, dtype=np.float64),
+        tuple(lights or ["left"] * len(times_s)),
+        stems([5.0 + i for i in range(len(times_s))]),
+        {key: np.array(values, dtype=np.float64) for key, values in covariates.items()},
+    )
+    return RunTrack(name, plant, Path(f"{name}.csv"), "ab" * 32, track, lamps)
+
+
+def rows_of(run: MeasuredRun) -> list[int | None]:
+    """Which row of the track of :func:`a_run` stands in each step; None where there is none."""
+    tips = run.points_cm[:, -1, 1]
+    return [None if np.isnan(tip) else round(tip - 5.0) for tip in tips]
+
+
+def lamps_of(run: MeasuredRun) -> list[str]:
+    names = {levels: light for light, levels in LEVELS.items()}
+    return [names[tuple(levels)] for levels in run.light.tolist()]
+
+
+def test_a_track_without_a_fault_is_taken_as_it_is() -> None:
+    lamps = LampsSection(40.0, 20.0)
+    source = a_run([900, 1200, 1500, 1800], ["dark", "left", "both", "right"], lamps=lamps, warm=[20, 21, 22, 24])
+    run = in_steps(source)
+    assert (run.name, run.plant, run.sha256, run.lamps, run.step_s) == ("run", "bean", "ab" * 32, lamps, 300.0)
+    assert len(run) == 4
+    assert run.hours == 0.25
+    assert run.points_cm.tobytes() == source.track.points_cm.tobytes()
+    assert run.time_s.tolist() == [900.0, 1200.0, 1500.0, 1800.0]
+    assert lamps_of(run) == ["left", "both", "right"]  # the lamp of the first row shone before it
+    assert run.covariates["warm"].tolist() == [20.5, 21.5, 23.0]
+    assert run.is_measured.tolist() == [True] * 4
+
+
+def test_gaps_are_empty_rows_and_the_lamp_before_them_stays_on() -> None:
+    run = in_steps(a_run([0, 300, 1200, 1500, 2400], ["dark", "left", "right", "both", "left"]))
+    assert rows_of(run) == [0, 1, None, None, 2, 3, None, None, 4]
+    assert run.is_measured.tolist() == [True, True, False, False, True, True, False, False, True]
+    assert np.isnan(run.points_cm[2:4]).all()
+    assert lamps_of(run) == ["left", "left", "left", "right", "both", "both", "both", "left"]
+    assert run.time_s.tolist() == (STEP_S * np.arange(9)).tolist()
+
+
+def test_a_beat_that_is_not_exact_is_put_in_its_place() -> None:
+    run = in_steps(a_run([100, 100 + 299, 100 + 640, 100 + 850, 100 + 1260]))
+    assert rows_of(run) == [0, 1, 2, 3, 4]
+    assert run.time_s.tolist() == [100.0, 400.0, 700.0, 1000.0, 1300.0]
+
+
+def test_what_lies_between_two_places_is_left_out_with_its_light() -> None:
+    near_s = NEAR_SHARE * STEP_S
+    times_s = [0, 300, 450, 600 + near_s - 1, 900 + near_s + 1, 1500]
+    run = in_steps(a_run(times_s, ["dark", "left", "right", "dark", "left", "both"]))
+    assert rows_of(run) == [0, 1, 3, None, None, 5]
+    assert lamps_of(run) == ["left", "dark", "dark", "dark", "both"]
+
+
+def test_of_photographs_taken_twice_one_counts() -> None:
+    run = in_steps(a_run([0, 10, 290, 300, 310, 600], ["dark", "left", "left", "right", "both", "dark"]))
+    assert rows_of(run) == [0, 2, 5]
+    assert lamps_of(run) == ["left", "dark"]
+
+
+def test_covariates_are_those_in_the_middle_of_a_step_and_lines_over_gaps() -> None:
+    run = in_steps(a_run([0, 300, 1500, 1800], warm=[10, 20, 60, 60], dim=[0, 0, 0, 4]))
+    assert run.covariates["warm"] == pytest.approx([15.0, 25.0, 35.0, 45.0, 55.0, 60.0])
+    assert run.covariates["dim"] == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+
+
+def test_other_steps_than_five_minutes() -> None:
+    run = in_steps(a_run([0, 60, 120, 240]), 60.0)
+    assert rows_of(run) == [0, 1, 2, None, 3]
+    assert run.step_s == 60.0
+    assert rows_of(in_steps(a_run([0, 300, 600, 900, 1200]), 600.0)) == [0, 2, 4]
+
+
+@pytest.mark.parametrize(
+    ("times_s", "said"),
+    [
+        ([0], "holds one stem; at least two are needed"),
+        ([0, 600, 1200], "no two rows are 300 s apart"),
+        ([0, 150], "no two rows are 300 s apart"),
+        ([0, 20, 40], "no two rows are 300 s apart"),
+    ],
+)
+def test_tracks_that_tell_no_movement_are_refused(times_s: list[float], said: str) -> None:
+    with pytest.raises(BadInput, match=said) as told:
+        in_steps(a_run(times_s))
+    assert str(told.value).startswith("run.csv: ")
+    assert "\n" not in str(told.value)
+
+
+def test_points_that_no_stem_has_are_refused_with_their_row() -> None:
+    off, inches = a_run([0, 300, 600]), a_run([0, 300, 600])
+    off.track.points_cm[1, 0, 0] = 0.5
+    inches.track.points_cm[2, -1, 1] = 5000.0
+    with pytest.raises(BadInput, match=r"run\.csv row 2 \(time_s 300\): point 1 is the anchor"):
+        in_steps(off)
+    with pytest.raises(BadInput, match=r"run\.csv row 3 \(time_s 600\): a coordinate beyond 500 cm"):
+        in_steps(inches)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whatever_is_missing_and_however_the_beat_strays(data: st.DataObject) -> None:
+    """Each row that is near its beat is found there; each step's lamp is that of the last row up to its end."""
+    count = data.draw(st.integers(3, 30))
+    kept = [0, 1, *sorted(data.draw(st.sets(st.integers(2, count), max_size=count)))]
+    strays = [0.0, *(data.draw(st.floats(-0.34, 0.34)) for _ in kept[1:])]
+    lights: list[Light] = [data.draw(st.sampled_from(["left", "right", "dark", "both"])) for _ in kept]
+    run = in_steps(a_run([STEP_S * (k + s) for k, s in zip(kept, strays, strict=True)], lights))
+    assert len(run) == kept[-1] + 1
+    assert rows_of(run) == [kept.index(k) if k in kept else None for k in range(len(run))]
+    for step, lamp in enumerate(lamps_of(run)):
+        assert lamp == lights[max(i for i, k in enumerate(kept) if k <= step + 1)]
+
+
+def test_mirrored_is_the_other_side_and_twice_mirrored_the_same() -> None:
+    run = in_steps(a_run([0, 300, 900], ["dark", "left", "both"], warm=[1, 2, 3]))
+    other = run.mirrored()
+    assert np.array_equal(other.points_cm[..., 0], -run.points_cm[..., 0], equal_nan=True)
+    assert np.array_equal(other.points_cm[..., 1], run.points_cm[..., 1], equal_nan=True)
+    assert lamps_of(run) == ["left", "left", "both"]
+    assert lamps_of(other) == ["right", "right", "both"]
+    assert (other.name, other.plant, other.sha256) == (run.name, run.plant, run.sha256)
+    again = other.mirrored()
+    assert np.array_equal(again.points_cm, run.points_cm, equal_nan=True)
+    assert again.light.tobytes() == run.light.tobytes()
+
+
+def test_side_by_side_all_are_as_long_as_the_longest() -> None:
+    long = in_steps(a_run([0, 300, 900, 1200], ["dark", "left", "left", "right"], warm=[1, 2, 4, 5], wet=[1, 1, 1, 1]))
+    short = in_steps(a_run([60, 360, 660], ["dark", "right", "both"], dim=[0, 0, 0], warm=[7, 8, 9]))
+    batch = side_by_side([long, short])
+    assert batch.step_s == 300.0
+    assert batch.rows.tolist() == [5, 3]
+    assert np.array_equal(batch.points_cm[:, 0], long.points_cm, equal_nan=True)
+    assert np.array_equal(batch.points_cm[:3, 1], short.points_cm)
+    assert np.isnan(batch.points_cm[3:, 1]).all()
+    assert batch.light[:, 0].tobytes() == long.light.tobytes()
+    assert batch.light[:, 1].tolist() == [[0, 1], [1, 1], [1, 1], [1, 1]]  # its last lamp stays on
+    assert list(batch.covariates) == ["warm"]  # what not all runs have is nobody's
+    assert batch.covariates["warm"].T.tolist() == [[1.5, 2.5, 3.5, 4.5], [7.5, 8.5, 8.5, 8.5]]
+
+
+def test_a_run_alone_side_by_side_is_itself() -> None:
+    run = in_steps(a_run([0, 300, 600], warm=[1, 2, 3]))
+    batch = side_by_side([run])
+    assert batch.points_cm[:, 0].tobytes() == run.points_cm.tobytes()
+    assert batch.light[:, 0].tobytes() == run.light.tobytes()
+    assert batch.covariates["warm"][:, 0].tobytes() == run.covariates["warm"].tobytes()
