@@ -85,7 +85,7 @@ def grown(simulator: RodSimulator, seeds: Sequence[int], hours: int) -> Garden:
     state = simulator.start(upright(count, 7.0), Chance(np.array(seeds)))
     points = np.concatenate([simulator.stems_cm(state)[None], run(simulator, state, light, STEP_S)])
     points[1:, :, 1:] += MEASURE_CM * np.random.default_rng(4).normal(size=points[1:, :, 1:].shape)
-    time_s = STEP_S * np.arange(steps + 1)
+    time_s = np.arange(steps + 1, dtype=np.float64) * STEP_S
     runs = [
         MeasuredRun(f"{s}", f"{s}", "0" * 64, points[:, i], light[:, i], time_s, STEP_S, {})
         for i, s in enumerate(seeds)
@@ -96,7 +96,7 @@ def grown(simulator: RodSimulator, seeds: Sequence[int], hours: int) -> Garden:
 def scores(fits: Sequence[Fitted], truth: Array) -> Array:
     """Errors in units of the standard deviation that the fit claims, shape (plants, traits)."""
     sd = np.stack([np.sqrt(np.diag(found.covariance)) for found in fits])
-    return (np.stack([found.traits for found in fits]) - truth) / sd
+    return np.asarray((np.stack([found.traits for found in fits]) - truth) / sd)
 
 
 @pytest.fixture(scope="module")
@@ -122,15 +122,12 @@ def test_traits_are_found_and_as_far_off_as_the_fit_says(garden: Garden, fits: l
     assert 0.7 < np.sqrt(np.mean(away**2)) < 1.3
     # and the track has told much that the prior does not: most of how fast the plant grows, and of its lag
     share = np.stack([np.sqrt(np.diag(f.covariance) / np.diag(PRIOR.covariance)) for f in fits]).mean(axis=0)
-    told = dict(zip(NAMES, share, strict=True))
-    assert told["growth_early_cm_per_day"] < 0.6
-    assert told["photo_latency_min"] < 0.4
-    error, before = (np.sqrt(np.mean((t - garden.traits) ** 2, axis=0)) for t in (away_traits(fits), PRIOR.mean))
+    shares = dict(zip(NAMES, share, strict=True))
+    assert shares["growth_early_cm_per_day"] < 0.6
+    assert shares["photo_latency_min"] < 0.4
+    found = np.stack([one.traits for one in fits])
+    error, before = (np.sqrt(np.mean((told - garden.traits) ** 2, axis=0)) for told in (found, PRIOR.mean))
     assert np.mean(error / before) < 0.6
-
-
-def away_traits(fits: Sequence[Fitted]) -> Array:
-    return np.stack([found.traits for found in fits])
 
 
 def test_taking_the_residuals_for_white_claims_false_precision(garden: Garden, fits: list[Fitted]) -> None:
@@ -172,7 +169,8 @@ def test_what_was_not_seen_tells_nothing(garden: Garden) -> None:
     assert few.is_told.sum() == len(few.features) == 40
     assert len(all_of_it.features) == 96
     wide, narrow = (
-        np.diag(fit(s, PRIOR, covariance_of(s.responses(PRIOR.mean), NOISE)).covariance) for s in (few, all_of_it)
+        np.diag(fit(seen, PRIOR, covariance_of(seen.responses(PRIOR.mean), NOISE)).covariance)
+        for seen in (few, all_of_it)
     )
     assert (wide > 0.99 * narrow).all()
     assert np.mean(wide / narrow) > 1.2

@@ -4,8 +4,8 @@ Every step it is told the angles of the stem at some distances from the tip, the
 memory can hold what the stem does not show (what shone before, the phase of a rhythm). It says rates only. Tissue
 beyond the last distance does not bend; what a stem became, it stays, and lengths never shrink.
 
-Plants differ in three traits that act round the network: how fast they grow, how fast they bend, and how far they lean.
-A plant that leans farther is to the network a typical one whose angles are all smaller.
+Plants differ in traits that act round the network: how fast they grow, early and late, how fast they bend, and how far
+they lean. A plant that leans farther is to the network a typical one whose angles are all smaller.
 
 Several members, each trained without some of the plants, have memories of their own and bend one stem at the mean of
 their rates. How much they disagree tells where the model does not know.
@@ -23,7 +23,7 @@ import numpy.typing as npt
 from flora_common.errors import BadInput
 from flora_lab.simulator.fast_tanh import fast_tanh
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, length_of, points_lane, split
+from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, lateness, length_of, points_lane, split
 
 Array = npt.NDArray[Any]
 
@@ -48,7 +48,7 @@ BIAS_FOLD_CM: Final = 5.0
 WEIGHTS: Final = ("w_ih", "w_hh", "b", "w_out", "b_out")
 INPUTS: Final = len(NODES_CM) + 1 + 2
 OUTPUTS: Final = len(NODES_CM) + 1
-TRAITS: Final = ("growth", "speed", "lean")
+TRAITS: Final = ("growth_early", "growth_late", "speed", "lean")
 
 _NODES: Final = np.array(NODES_CM)
 _COUNT: Final = len(NODES_CM)
@@ -161,7 +161,7 @@ def _advance(
         inputs = np.zeros(INPUTS, dtype=np.float32)
         said = np.zeros(OUTPUTS, dtype=np.float32)
         rates = np.zeros(_COUNT)
-        vigour, speed, lean = np.exp(TRAIT_SHARE * traits[lane])
+        speed, lean = np.exp(TRAIT_SHARE * traits[lane, 2]), np.exp(TRAIT_SHARE * traits[lane, 3])
         for k in range(light.shape[0]):
             for _ in range(parts):
                 total = length_of(length[lane], n)
@@ -177,6 +177,8 @@ def _advance(
                     for i in range(_COUNT):
                         rates[i] += speed * lean * said[i] / members
                     grown += np.logaddexp(0.0, said[_COUNT] + GROWTH_OFFSET) / members
+                late = lateness(total)
+                vigour = np.exp(TRAIT_SHARE * (traits[lane, 0] * (1.0 - late) + traits[lane, 1] * late))
                 grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth[k, lane])
                 _bend(length[lane], angle[lane], n, total, rates, bias[k, lane], STEP_H)
                 elongate(length[lane], n, total, zone_cm, grown)

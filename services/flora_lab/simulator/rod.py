@@ -22,6 +22,11 @@ ZONE_EDGE_CM: Final = 0.5
 LONGEST_STEP_H: Final = 300.0 / 3600.0
 """Longer steps are taken in parts."""
 
+EARLY_CM: Final = 6.5
+LATE_CM: Final = 22.0
+"""Stem lengths at which a plant's early and late rates of growth hold. Wahby et al. 2018: first and last heights of a
+run."""
+
 jit = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
@@ -32,6 +37,12 @@ def length_of(length: Array, n: int) -> float:
     for j in range(n):
         total += length[j]
     return total
+
+
+@jit
+def lateness(total_cm: float) -> float:
+    """How far a stem of this length is from its early to its late rate of growth: 0 to 1, linear in between."""
+    return float(min(max((total_cm - EARLY_CM) / (LATE_CM - EARLY_CM), 0.0), 1.0))
 
 
 @jit

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, length_of, points_lane, split
+from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, lateness, length_of, points_lane, split
 from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
@@ -32,10 +32,6 @@ Array = npt.NDArray[Any]
 MATURE_EDGE_CM: Final = 0.8
 LIGHT_HALF: Final = 0.02
 """Light, relative to one full lamp at the anchor, at which the logarithmic response sets in."""
-EARLY_CM: Final = 6.5
-LATE_CM: Final = 22.0
-"""Stem lengths at which the two rates of growth hold; between them the rate is linear, beyond them constant. Wahby et
-al. 2018: first and last heights of a run."""
 _RESPONSE: Final = float(np.log1p(1.0 / LIGHT_HALF))
 _NO_RESPONSE: Final = 1e-5
 
@@ -107,8 +103,7 @@ def _bend(
 @jit
 def _growth_cm_per_h(total_cm: float, p: Array) -> float:
     """Elongation of the whole stem."""
-    share = min(max((total_cm - EARLY_CM) / (LATE_CM - EARLY_CM), 0.0), 1.0)
-    return float((p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * share) / 24.0)
+    return float((p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * lateness(total_cm)) / 24.0)
 
 
 @jit

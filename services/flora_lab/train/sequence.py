@@ -22,6 +22,7 @@ from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.neural_law import TRAITS, NeuralLaw
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import software
+from flora_lab.simulator.tropism_traits import VIGOUR
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.curve import curve_png
 from flora_lab.train.growing import range_of, trained, usable
@@ -76,7 +77,7 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     law = NeuralLaw(training.net.law_weights(), zone_cm)
 
     progress.stage("measuring what happens by chance")
-    prior = Prior(np.zeros(len(TRAITS)), np.eye(len(TRAITS)))
+    prior = Prior(np.zeros(len(TRAITS)), prior_spread())
     noise = noise_about([Observed(run, law) for run in measured], prior)
     simulator = SequenceSimulator(law, prior, noise, range_of(measured), measured[0].step_s)
     judged = judge(simulator, measured, training.held, tracks.plant[: len(measured)])
@@ -97,6 +98,13 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
         figures={"training.png": curve_png(curve.train, curve.validate, kept, unit="loss of free runs")},
         table=_table(judged, simulator.noise, len(curve.train), curve.best_epoch),
     )
+
+
+def prior_spread() -> Array:
+    """Covariance of the traits between plants before any data, shape (4, 4): early and late growth go together."""
+    spread = np.eye(len(TRAITS))
+    spread[0, 1] = spread[1, 0] = VIGOUR
+    return spread
 
 
 def judge(

@@ -29,11 +29,12 @@ from flora_lab.simulator.neural_law import (
     RATE_PER_CM_H,
     STEP_H,
     TRAIT_SHARE,
-    TRAITS,
 )
 from flora_lab.simulator.rod import ZONE_EDGE_CM
 from flora_lab.train.windows import PLACES, REFRESH, Windows
 
+TRAITS: Final = 3
+"""Growth, speed and lean: in training, a plant's early and late growth are one trait."""
 ZONE_CM: Final = 6.0
 """Where the growth zone's length starts from."""
 _NO_TISSUE_CM: Final = 1e-3
@@ -64,7 +65,7 @@ class LawNet(nn.Module):
         self.w_out = drawn(members, hidden, OUTPUTS, scale=0.3 * size)
         self.b_out = nn.Parameter(torch.zeros(members, OUTPUTS))
         self.log_zone = nn.Parameter(torch.full((members,), math.log(ZONE_CM)))
-        self.traits = nn.Parameter(torch.zeros(plants, len(TRAITS)))
+        self.traits = nn.Parameter(torch.zeros(plants, TRAITS))
 
     @property
     def members(self) -> int:
@@ -133,7 +134,7 @@ def free_run(
     hidden = net.w_hh.shape[1]
     h = length.new_zeros(members, windows, hidden)
     c = torch.zeros_like(h)
-    vigour, speed, lean = torch.exp(TRAIT_SHARE * traits).chunk(len(TRAITS), dim=-1)
+    vigour, speed, lean = torch.exp(TRAIT_SHARE * traits).chunk(TRAITS, dim=-1)
     grows, sees, bends = vigour * (GROWTH_CM_PER_H * STEP_H), ANGLE_SCALE / lean, speed * lean
     b, b_out = net.b.unsqueeze(1), net.b_out.unsqueeze(1)
     told = []
