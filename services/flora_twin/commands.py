@@ -133,6 +133,9 @@ def grow_runs(
         int, typer.Option("--random", min=0, max=1000, help="Runs under random light, each under its own.")
     ] = 0,
     hours: Annotated[float, typer.Option(help="Length of each run.")] = HOURS,
+    pixel_cm: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Tell tracks in whole pixels of this size; 0 tells them exactly.")
+    ] = 0.0,
 ) -> None:
     """Grow the paper's dataset experiments without pictures: run folders with run.toml and track.csv.
 
@@ -146,7 +149,14 @@ def grow_runs(
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
-    runs = dataset_runs(seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours, random_loops=random_loop)
+    runs = dataset_runs(
+        seed,
+        open_loops=open_loop,
+        closed_loops=closed_loop,
+        hours=hours,
+        random_loops=random_loop,
+        pixel_cm=pixel_cm,
+    )
     with files.whole_folder(output) as folder:
         for run in runs:
             inner = RunFolder(folder / run.name)

@@ -136,7 +136,13 @@ def grow_steered(seeds: Sequence[int], steering: Sequence[Steering], hours: floa
 
 
 def dataset_runs(
-    seed: int, *, open_loops: int, closed_loops: int, hours: float, random_loops: int = 0
+    seed: int,
+    *,
+    open_loops: int,
+    closed_loops: int,
+    hours: float,
+    random_loops: int = 0,
+    pixel_cm: float = 0.0,
 ) -> list[VirtualRun]:
     """The paper's dataset experiments with other plants, and runs under random light.
 
@@ -145,6 +151,8 @@ def dataset_runs(
         open_loops, closed_loops: how many of each.
         hours: length of every run.
         random_loops: how many open-loop runs under a random schedule, each under its own.
+        pixel_cm: tell tracks in whole pixels of this size, as from pictures that were made small; 0 tells them as they
+            are.
 
     Returns:
         The runs, open loop first, random light last. Targets of closed loops are 2 to 7 cm to the left or right in
@@ -175,7 +183,11 @@ def dataset_runs(
                 interval_s=FRAME_S,
                 target=target,
             ),
-            track,
+            _in_pixels(track, pixel_cm) if pixel_cm else track,
         )
         for name, individual, target, track in zip(names, seeds, wanted, tracks, strict=True)
     ]
+
+
+def _in_pixels(track: Track, pixel_cm: float) -> Track:
+    return Track(track.time_s, track.light, np.rint(track.points_cm / pixel_cm) * pixel_cm, track.covariates)
