@@ -7,7 +7,7 @@ with derivatives by central differences, all of them side by side in one batch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -52,12 +52,14 @@ class Fitted:
     Attributes:
         traits: shape (traits,).
         covariance: of them, shape (traits, traits), by Laplace's approximation.
+        information: what the track alone tells of them, shape (traits, traits): the inverse of a covariance.
         residual: measured minus simulated features, cm, shape (m,).
         jacobian: of the features, shape (m, traits).
     """
 
     traits: Array
     covariance: Array
+    information: Array
     residual: Array
     jacobian: Array
 
@@ -77,6 +79,10 @@ class Responses:
     bias_h: Array
     growth_h: Array
     length_cm: Array
+
+    def of(self, which: Array) -> Responses:
+        """Those of some of the features."""
+        return replace(self, bias=self.bias[which], growth=self.growth[which])
 
     def covariance(self, noise: DriveNoise) -> Array:
         """Of the features, shape (m, m), without measuring error."""
@@ -110,6 +116,7 @@ class Observed:
         self._first = standing(law, run.points_cm[:1])
         told = np.stack([run.points_cm[at, point, axis] for point, axis in FEATURES], axis=1).ravel()
         self.is_told = np.isfinite(told)
+        self.row = np.repeat(np.arange(len(at)), len(FEATURES))[self.is_told]
         self.features = told[self.is_told]
 
     def points(self, traits: Array, bias: Array | None = None, growth: Array | None = None) -> Array:
@@ -201,8 +208,9 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
         if not moved:
             break
     white = whiten @ jacobian
-    posterior = np.linalg.inv(white.T @ white + prior_root.T @ prior_root)
-    return Fitted(at, posterior, seen.features - features, jacobian)
+    information = white.T @ white
+    posterior = np.linalg.inv(information + prior_root.T @ prior_root)
+    return Fitted(at, posterior, information, seen.features - features, jacobian)
 
 
 def linearised(seen: Observed, at: Array, spread: Array) -> tuple[Array, Array]:

@@ -18,12 +18,15 @@ from flora_lab.simulator.tropism import TropismLaw
 from flora_lab.simulator.tropism_traits import NAMES, PARAMETERS, prior_doubt, prior_mean, prior_spread
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.growing import range_of, trained, usable
-from flora_lab.train.population import Known, Population, first_guess, improved
+from flora_lab.train.population import Known, Population, first_guess, improved, mean_sd
 from flora_lab.train.recipes import Progress, Trained, TrainOptions
 
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
+TOLD_SHARE: Final = 0.7
+"""Tracks that leave more than this share of the doubt have not told a constant."""
+FEWEST_PLANTS: Final = 5
 SPLIT: Final = "none held out; judge with flora-lab rollout on runs of other plants"
 
 
@@ -64,9 +67,9 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
         seed=options.seed,
         split=SPLIT,
         settings={"rounds": rounds},
-        results={"free_run_residual_cm": residuals, "rounds": rounds},
+        results={"free_run_residual_cm": residuals, "rounds": rounds, "not_told": _not_told(found, known)},
         figures={},
-        table=_table(found),
+        table=_table(found, known),
     )
 
 
@@ -98,24 +101,38 @@ def _state(found: Population, done: int) -> tuple[dict[str, Array], dict[str, An
     arrays = {"mean": found.prior.mean, "covariance": found.prior.covariance}
     for i, fit in enumerate(found.plants):
         arrays |= {f"{i}.traits": fit.traits, f"{i}.covariance": fit.covariance}
-        arrays |= {f"{i}.residual": fit.residual, f"{i}.jacobian": fit.jacobian}
+        arrays |= {f"{i}.information": fit.information, f"{i}.residual": fit.residual, f"{i}.jacobian": fit.jacobian}
     return arrays, {"round": done, "noise": found.noise.as_dict(), "plants": len(found.plants)}
 
 
 def _restored(arrays: Mapping[str, Array], state: Mapping[str, Any]) -> tuple[Population, int]:
     fits = tuple(
-        Fitted(*(arrays[f"{i}.{name}"] for name in ("traits", "covariance", "residual", "jacobian")))
+        Fitted(*(arrays[f"{i}.{name}"] for name in ("traits", "covariance", "information", "residual", "jacobian")))
         for i in range(state["plants"])
     )
     prior = Prior(arrays["mean"], arrays["covariance"])
     return Population(prior, DriveNoise.from_table(state["noise"], where="checkpoint"), fits), int(state["round"])
 
 
-def _table(found: Population) -> list[str]:
-    spread = np.sqrt(np.diag(found.prior.covariance))
-    lines = [f"{'constant':<26}{'typical':>9}{'plants differ by':>18}{'before any data':>17}"]
-    for name, typical, differ, before in zip(NAMES, np.exp(found.prior.mean), spread, PARAMETERS, strict=True):
-        lines.append(f"{name:<26}{typical:>9.3f}{100.0 * differ:>16.0f} %{before.typical:>17.3f}")
+def _not_told(found: Population, known: Known) -> list[str]:
+    """Constants that the tracks say little about: what is stored is what the sources say."""
+    sure = mean_sd(found, known)
+    return [name for name, sd, doubt in zip(NAMES, sure, known.doubt, strict=True) if sd > TOLD_SHARE * doubt]
+
+
+def _table(found: Population, known: Known) -> list[str]:
+    spread, sure = np.sqrt(np.diag(found.prior.covariance)), mean_sd(found, known)
+    silent = _not_told(found, known)
+    lines = [f"{'constant':<26}{'typical':>9}{'sure to':>10}{'plants differ by':>18}{'before any data':>17}"]
+    rows = zip(NAMES, np.exp(found.prior.mean), sure, spread, PARAMETERS, strict=True)
+    for name, typical, sd, differ, before in rows:
+        mark = "  not told by these runs" if name in silent else ""
+        shares = f"{100.0 * sd:>8.0f} %{100.0 * differ:>16.0f} %"
+        lines.append(f"{name:<26}{typical:>9.3f}{shares}{before.typical:>17.3f}{mark}")
     residuals = [f"{10.0 * _size([fit]):.1f}" for fit in found.plants]
     lines.append(f"free-run residual of each run with its own constants, mm: {', '.join(residuals)}")
+    if len(found.plants) < FEWEST_PLANTS:
+        lines.append(
+            f"{len(found.plants)} runs: too few to tell how plants differ; that is mostly what the sources say"
+        )
     return lines

@@ -35,6 +35,7 @@ SPREAD_STRENGTH: Final = 9.0
 """The prior of the spread counts as much as this many plants."""
 SMALLEST_MEASURE_CM: Final = 0.05
 """What the linear approximation leaves is never less, however well the stems were measured."""
+LONG_ROWS: Final = 36
 _IMPOSSIBLE: Final = 1e12
 _SIZE_RANGE: Final = 3.0
 _TIME_RANGE: Final = 1.5
@@ -99,8 +100,20 @@ def improved(seen: Sequence[Observed], known: Known, before: Population) -> Popu
     prior = _prior_of(fits, known)
     answers = [one.responses(prior.mean) for one in seen]
     typical = [found.residual + found.jacobian @ (found.traits - prior.mean) for found in fits]
-    noise = _noise_of(typical, [found.jacobian for found in fits], answers, prior)
+    noise = _noise_of(seen, typical, [found.jacobian for found in fits], answers, prior)
     return Population(prior, noise, tuple(fits))
+
+
+def mean_sd(found: Population, known: Known) -> Array:
+    """How sure the mean over plants is: standard deviations, shape (traits,).
+
+    Where it is not much less than what was doubted before, the tracks do not tell that trait.
+    """
+    spread = found.prior.covariance
+    told = np.diag(known.doubt**-2)
+    for plant in found.plants:
+        told = told + plant.information @ np.linalg.inv(np.eye(len(spread)) + spread @ plant.information)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(told))))
 
 
 def noise_about(seen: Sequence[Observed], prior: Prior) -> DriveNoise:
@@ -108,7 +121,7 @@ def noise_about(seen: Sequence[Observed], prior: Prior) -> DriveNoise:
     linear = [linearised(one, prior.mean, np.sqrt(np.diag(prior.covariance))) for one in seen]
     residuals = [one.features - told for one, (told, _) in zip(seen, linear, strict=True)]
     answers = [one.responses(prior.mean) for one in seen]
-    return _noise_of(residuals, [jacobian for _, jacobian in linear], answers, prior)
+    return _noise_of(seen, residuals, [jacobian for _, jacobian in linear], answers, prior)
 
 
 def _prior_of(fits: Sequence[Fitted], known: Known) -> Prior:
@@ -127,9 +140,20 @@ def _prior_of(fits: Sequence[Fitted], known: Known) -> Prior:
 
 
 def _noise_of(
-    residuals: Sequence[Array], jacobians: Sequence[Array], answers: Sequence[Responses], prior: Prior
+    seen: Sequence[Observed],
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    answers: Sequence[Responses],
+    prior: Prior,
 ) -> DriveNoise:
-    """The noise under which the residuals of the typical plant are most probable, whatever the traits of each."""
+    """The noise under which the residuals of the typical plant are most probable, whatever the traits of each.
+
+    Of long runs every second row is looked at: the cost goes with the cube of what is.
+    """
+    used = [one.row % (2 if one.row[-1] >= LONG_ROWS else 1) == 0 for one in seen]
+    residuals = [residual[which] for residual, which in zip(residuals, used, strict=True)]
+    jacobians = [jacobian[which] for jacobian, which in zip(jacobians, used, strict=True)]
+    answers = [answer.of(which) for answer, which in zip(answers, used, strict=True)]
     guess = DriveNoise()
     first = guess.as_array()
     doubt = np.array([_TIME_DOUBT if name in _TIMES else _SIZE_DOUBT for name in NOISE_NAMES])
