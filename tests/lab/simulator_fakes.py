@@ -95,7 +95,7 @@ def straight_run(
     tips = np.array(tip_cm) + np.concatenate([np.zeros((1, 2)), np.cumsum(move * STEP_S / 3600.0, axis=0)])
     points = ALONG[:, None] * tips[:, None, :]
     points[list(missing)] = np.nan
-    time_s = np.arange(count + 1) * STEP_S
+    time_s = np.arange(count + 1, dtype=np.float64) * STEP_S
     return MeasuredRun(name, plant or name, "0" * 64, points, light, time_s, STEP_S, {})
 
 

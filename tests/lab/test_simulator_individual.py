@@ -18,7 +18,7 @@ from flora_lab.simulator.growing import DataRange, GrowingSimulator
 from flora_lab.simulator.individual import RANGE_SD, Fitted, Observed, Prior, covariance_of, fit
 from flora_lab.simulator.interface import Chance, History, run
 from flora_lab.simulator.measured import MeasuredRun
-from flora_lab.simulator.neural_law import NeuralLaw, weight_shapes
+from flora_lab.simulator.neural_law import TRAITS, NeuralLaw, weight_shapes
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
@@ -42,7 +42,8 @@ def rod(noise: DriveNoise = NOISE) -> RodSimulator:
 def sequence() -> SequenceSimulator:
     rng = np.random.default_rng(1)
     weights = {name: (0.05 * rng.normal(size=shape)).astype(np.float32) for name, shape in weight_shapes(2, 8).items()}
-    return SequenceSimulator(NeuralLaw(weights, 6.0), Prior(np.zeros(3), np.eye(3)), NOISE, DataRange(30.0, 10.0))
+    prior = Prior(np.zeros(len(TRAITS)), np.eye(len(TRAITS)))
+    return SequenceSimulator(NeuralLaw(weights, 6.0), prior, NOISE, DataRange(30.0, 10.0))
 
 
 both_kinds = pytest.mark.parametrize("make", [rod, sequence])

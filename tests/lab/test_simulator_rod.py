@@ -29,7 +29,7 @@ STEP_H = 1.0 / 12.0
 LAMPS = LampsSection(35.0, 30.0)
 LAW = TropismLaw(LAMPS)
 DARK, LEFT, RIGHT, BOTH = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)
-NEVER = 1e-9  # of a constant whose effect is to be left out
+NEVER = 1e-9  # of a constant that is left out
 SOFT = {"stiffening_cm": 1e9, "mature_cm": 1e9}
 STILL = {"growth_early_cm_per_day": NEVER, "growth_late_cm_per_day": NEVER}
 ALONE = {
@@ -110,12 +110,11 @@ def test_a_stem_grows_by_what_is_asked_for_and_only_below_its_tip(
 @given(rods())
 def test_splitting_changes_neither_shape_nor_length(rod: tuple[Array, Array, int]) -> None:
     length, angle, n = rod
-    total_cm, line = length.sum(), corners(length, angle, n)
+    line = corners(length, angle, n)
     new_length, new_angle = length.copy(), angle.copy()
     count = split(new_length, new_angle, n)
-    long = int((length[:n] > LONG_SEGMENT_CM).sum())
-    assert count == min(CAPACITY, n + long)
-    assert new_length.sum() == pytest.approx(total_cm, abs=1e-12)
+    assert count == min(CAPACITY, n + int((length > LONG_SEGMENT_CM).sum()))
+    assert new_length.sum() == pytest.approx(length.sum(), abs=1e-12)
     finer = corners(new_length, new_angle, count)
     away = np.abs(finer[:, None] - line[None]).max(axis=2).min(axis=0)
     assert away.max() < 1e-9  # all the old corners are there

@@ -8,6 +8,7 @@ never taken for independent ones.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final
 
@@ -117,8 +118,7 @@ class Drives:
     def normals(self, step: int) -> Array:
         """Fresh normal numbers for one step, shape (batch, 6)."""
         block, at = divmod(step, BLOCK)
-        draws = [np.random.default_rng([int(s), 12, block]).standard_normal((BLOCK, CHANNELS))[at] for s in self.seeds]
-        return np.stack(draws)
+        return np.asarray(_drawn(self.seeds.tobytes(), block)[at])
 
     def step(self, processes: Array, step: int, dt_h: float, length_cm: Array) -> tuple[Array, Array, Array]:
         """One step.
@@ -148,6 +148,16 @@ class Drives:
         bias = noise.wander_per_cm_h * after[:, 0] + size * after[:, 1]
         growth = 1.0 + noise.growth_share * after[:, 3] + noise.rhythm_share * after[:, 4]
         return after, bias, np.maximum(growth, 0.0)
+
+
+@functools.lru_cache(maxsize=8)
+def _drawn(seeds: bytes, block: int) -> Array:
+    """Normal numbers of a block of steps, shape (BLOCK, batch, 6): a function of seeds and number alone."""
+    draws = [
+        np.random.default_rng([int(seed), 12, block]).standard_normal((BLOCK, CHANNELS))
+        for seed in np.frombuffer(seeds, dtype=np.int64)
+    ]
+    return np.stack(draws, axis=1)
 
 
 def _decayed(value: Array, fresh: Array, share: float) -> Array:

@@ -18,6 +18,7 @@ from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.law import Law, Stems, advanced, standing
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
 from flora_lab.simulator.store import Stored
+from flora_lab.threads import one_blas_thread
 
 Array = npt.NDArray[Any]
 
@@ -69,9 +70,14 @@ class GrowingSimulator(Simulator[GrowingState]):
         noise: what happens by chance.
         shown: beyond it the simulator extrapolates.
         step_s: the step of the runs that it was learned from.
+
+    Raises:
+        ValueError: a prior of other traits than the law's.
     """
 
     def __init__(self, law: Law, prior: Prior, noise: DriveNoise, shown: DataRange, step_s: float = STEP_S) -> None:
+        if prior.mean.shape != (len(law.traits),):
+            raise ValueError(f"a prior of {prior.mean.shape} traits; the law has {', '.join(law.traits)}")
         self.law = law
         self.prior = prior
         self.noise = noise
@@ -99,8 +105,9 @@ class GrowingSimulator(Simulator[GrowingState]):
         traits = np.repeat(self.prior.mean[None], batch, axis=0)
         if len(history.points_cm) == 1:
             return GrowingState(stems, traits)
-        for b in range(batch):
-            traits[b] = self._recognised(history, b)
+        with one_blas_thread():
+            for b in range(batch):
+                traits[b] = self._recognised(history, b)
         first = standing(self.law, history.points_cm[0])
         memory = self._memory_after(first, traits, history.light, history.step_s)
         return GrowingState(replace(stems, memory=memory), traits)
@@ -163,8 +170,13 @@ def read_prior(stored: Stored, count: int) -> Prior:
     """
     mean = stored.weight("trait_mean", (count,)).astype(np.float64)
     covariance = stored.weight("trait_covariance", (count, count)).astype(np.float64)
-    if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
-        raise BadInput(f"{stored.path}: `trait_covariance` is no covariance: not symmetric, or not positive")
+    told = f"{stored.path}: `trait_covariance` is no covariance: not symmetric, or not positive"
+    if not np.allclose(covariance, covariance.T):
+        raise BadInput(told)
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError as problem:
+        raise BadInput(told) from problem
     return Prior(mean, covariance)
 
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from flora_common.errors import BadInput
 from flora_lab.simulator.fast_tanh import fast_tanh
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, lateness, length_of, points_lane, split
+from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, in_lanes, jit, lateness, length_of, points_lane, split
 
 Array = npt.NDArray[Any]
 
@@ -133,8 +133,7 @@ def _bend(length: Array, angle: Array, n: int, total_cm: float, rates: Array, bi
         d -= length[j]
 
 
-@numba.njit(cache=True, error_model="numpy", parallel=True)
-def _advance(
+def _lanes(
     length: Array,
     angle: Array,
     count: Array,
@@ -188,6 +187,9 @@ def _advance(
         count[lane] = n
 
 
+_advance = in_lanes(_lanes)
+
+
 class NeuralLaw:
     """The learned law.
 
@@ -238,8 +240,11 @@ class NeuralLaw:
         parts = round(step_h / STEP_H)
         if parts < 1 or abs(parts * STEP_H - step_h) > 1e-6:
             raise BadInput(f"a step of {3600.0 * step_h:g} s: the network takes multiples of {3600.0 * STEP_H:g} s")
+        if traits.shape != (len(stems.count), len(TRAITS)):
+            raise ValueError(f"traits of shape {traits.shape}; expected ({len(stems.count)}, {len(TRAITS)})")
         w = self.weights
         _advance(
+            len(stems.count) * len(light) * parts,
             stems.length,
             stems.angle,
             stems.count,

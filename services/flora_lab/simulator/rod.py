@@ -7,6 +7,7 @@ mechanistic model) or :mod:`flora_lab.simulator.neural_law` (the learned one).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numba
@@ -28,6 +29,29 @@ LATE_CM: Final = 22.0
 run."""
 
 jit = numba.njit(cache=True, error_model="numpy", nogil=True)
+
+WORTH_THREADS: Final = 2000
+"""Steps of plants below which starting threads takes longer than the work."""
+
+
+def in_lanes(lanes: Callable[..., None]) -> Callable[..., None]:
+    """Compile a loop over plants (``numba.prange``).
+
+    Returns:
+        The compiled loop, with one argument before its own: how many steps of plants it will do. What it does is the
+        same with any number of threads.
+    """
+    compiled = numba.njit(cache=True, error_model="numpy", parallel=True)(lanes)
+
+    def run(steps: int, *arguments: Any) -> None:
+        threads = numba.get_num_threads()
+        numba.set_num_threads(threads if steps >= WORTH_THREADS else 1)
+        try:
+            compiled(*arguments)
+        finally:
+            numba.set_num_threads(threads)
+
+    return run
 
 
 @jit

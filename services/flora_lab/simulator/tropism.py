@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, jit, lateness, length_of, points_lane, split
+from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, in_lanes, jit, lateness, length_of, points_lane, split
 from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
@@ -128,8 +128,7 @@ def _step_lane(
     return int(split(length, angle, n))
 
 
-@numba.njit(cache=True, error_model="numpy", parallel=True)
-def _advance(
+def _lanes(
     length: Array,
     angle: Array,
     count: Array,
@@ -167,6 +166,9 @@ def _advance(
         count[b] = n
 
 
+_advance = in_lanes(_lanes)
+
+
 class TropismLaw:
     """The mechanistic law. Traits are the logarithms of the constants.
 
@@ -194,8 +196,11 @@ class TropismLaw:
         out: Array,
     ) -> None:
         """See :meth:`flora_lab.simulator.law.Law.advance`."""
+        if traits.shape != (len(stems.count), len(NAMES)):
+            raise ValueError(f"traits of shape {traits.shape}; expected ({len(stems.count)}, {len(NAMES)})")
         constants = np.exp(np.ascontiguousarray(traits, dtype=np.float64))
         _advance(
+            len(stems.count) * len(light),
             stems.length,
             stems.angle,
             stems.count,

@@ -81,8 +81,8 @@ def losses(weights: Weights, factors: Array, windows: Windows, weight: Array) ->
 
     Args:
         weights: the members.
-        factors: of the plants, shape (windows, 3), float32: of the growth in a step (cm), of the angles that are told,
-            of the bending rates.
+        factors: of the plants, shape (members, windows, 3), float32: of the growth in a step (cm), of the angles that
+            are told, of the bending rates.
         windows: where from, and what the plants did.
         weight: shape (members, windows); where it is zero nothing is run, and the loss is 0.
 
@@ -100,12 +100,12 @@ def losses_and_gradient(weights: Weights, factors: Array, windows: Windows, weig
 def _all_members(
     weights: Weights, factors: Array, windows: Windows, weight: Array, *, learn: bool
 ) -> tuple[Array, Gradient]:
-    members, count = len(weights.b), len(factors)
+    members, count = factors.shape[:2]
     loss = np.zeros((members, count), dtype=np.float32)
     both = np.concatenate([weights.w_ih, weights.w_hh], axis=1)
     d_both, d_b, d_out = np.zeros_like(both), np.zeros_like(weights.b), np.zeros_like(weights.w_out)
     d_b_out, d_zone = np.zeros_like(weights.b_out), np.zeros(members, dtype=np.float32)
-    d_factors = np.zeros((members, *factors.shape), dtype=np.float32)
+    d_factors = np.zeros(factors.shape, dtype=np.float32)
     _run(
         both,
         weights.b,
@@ -187,6 +187,7 @@ def _run(  # type: ignore[no-untyped-def]
     total = np.empty(ROWS, dtype=np.float32)
     nodes = np.empty((ROWS, WIDE), dtype=np.float32)
     for m in range(len(both)):
+        own = factors[m]
         rows, zone = np.nonzero(weight[m])[0], f(math.exp(log_zone[m]))
         both_t, w_out_t = both[m].T.copy(), w_out[m].T.copy()
         for start in range(0, len(rows), ROWS):
@@ -211,7 +212,7 @@ def _run(  # type: ignore[no-untyped-def]
                 for r in range(count):
                     w = mine[r]
                     for n in range(NODES):
-                        x[r, n] = nodes[r, n] * factors[w, 1]
+                        x[r, n] = nodes[r, n] * own[w, 1]
                     x[r, _LENGTH] = (total[r] - _MIDDLE) * _PER_LENGTH
                     x[r, _LAMPS], x[r, _LAMPS + 1] = light[k, w, 0], light[k, w, 1]
                 np.dot(x, both[m], z)
@@ -223,10 +224,10 @@ def _run(  # type: ignore[no-untyped-def]
                     for n in range(OUTPUTS):
                         spoken[r, n] += b_out[m, n]
                     for n in range(NODES):
-                        nodes[r, n] = spoken[r, n] * factors[w, 2]
+                        nodes[r, n] = spoken[r, n] * own[w, 2]
                     s = spoken[r, NODES] + _OFFSET
                     e = f(math.exp(-abs(s)))
-                    growing[at, r] = (max(s, ZERO) + f(math.log1p(e))) * factors[w, 0]
+                    growing[at, r] = (max(s, ZERO) + f(math.log1p(e))) * own[w, 0]
                     rising[at, r] = (ONE if s >= ZERO else e) / (ONE + e)
                     for j in range(SEGMENTS):
                         length[r, j] += share[span, r, j] * growing[at, r]
@@ -256,7 +257,7 @@ def _run(  # type: ignore[no-untyped-def]
                     both_t,
                     w_out_t,
                     mine,
-                    factors,
+                    own,
                     seen,
                     gates,
                     c,

@@ -14,8 +14,10 @@ from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.individual import Fitted, Observed, Prior
 from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.store import software
 from flora_lab.simulator.tropism import TropismLaw
 from flora_lab.simulator.tropism_traits import NAMES, PARAMETERS, prior_doubt, prior_mean, prior_spread
+from flora_lab.threads import one_blas_thread
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.growing import range_of, trained, usable
 from flora_lab.train.population import Known, Population, first_guess, improved, mean_sd
@@ -45,14 +47,19 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     seen = [Observed(run, law) for run in measured]
     known = Known(prior_mean(), prior_doubt(), prior_spread())
     rounds = options.epochs or ROUNDS
-    work = {"recipe": "mechanistic", "tracks": [run.sha256 for run in runs]}
+    work = {
+        "recipe": "mechanistic",
+        "tracks": [run.sha256 for run in runs],
+        "lamps": [lamps.distance_cm, lamps.height_cm],
+        "software": software(),
+    }
     checkpoint = Checkpoint(options.checkpoint, work)
     found, done = first_guess(known), 0
     saved = checkpoint.load() if options.resume else None
     if saved is not None:
         found, done = _restored(saved.arrays, saved.state)
     progress.begin(rounds, done)
-    with checkpoint:
+    with one_blas_thread(), checkpoint:
         for number in range(done + 1, rounds + 1):
             found = improved(seen, known, found)
             progress.epoch(number, {"cm": _size(found.plants)})

@@ -23,6 +23,7 @@ from flora_lab.simulator.neural_law import TRAITS, NeuralLaw
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import software
 from flora_lab.simulator.tropism_traits import VIGOUR
+from flora_lab.threads import one_blas_thread
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.curve import curve_png
 from flora_lab.train.growing import range_of, trained, usable
@@ -67,6 +68,7 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     work = {
         "recipe": NAME,
         "tracks": [run.sha256 for run in measured],
+        "plants": [run.plant for run in measured],
         "seed": options.seed,
         "settings": asdict(settings),
         "software": software(),
@@ -78,7 +80,8 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
 
     progress.stage("measuring what happens by chance")
     prior = Prior(np.zeros(len(TRAITS)), prior_spread())
-    noise = noise_about([Observed(run, law) for run in measured], prior)
+    with one_blas_thread():
+        noise = noise_about([Observed(run, law) for run in measured], prior)
     simulator = SequenceSimulator(law, prior, noise, range_of(measured), measured[0].step_s)
     judged = judge(simulator, measured, training.held, tracks.plant[: len(measured)])
     kept = max(curve.best_epoch)

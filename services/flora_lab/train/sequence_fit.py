@@ -133,6 +133,7 @@ class SequenceTraining:
         self.random = generator(seed, _WINDOWS)
         self.held = held_out(tracks.plants, settings.members, seed)
         self._losses: Losses = CompiledLosses(self.net) if self.device.type == "cpu" else TorchLosses(self.net)
+        self._learned = torch.tensor(~self.held, dtype=torch.float32, device=self.device)
         self._starts = Starts(tracks, settings.steps)
         self._judged: tuple[Windows, Array] | None = None
         rest = [p for name, p in self.net.named_parameters() if name != "traits"]
@@ -176,13 +177,21 @@ class SequenceTraining:
             learned = ~self.held[:, plant]
             weight = (learned / np.maximum(learned.sum(1, keepdims=True), 1)).astype(np.float32)
             self.optimiser.zero_grad()
-            doubt = TRAITS_DOUBT * (self.net.traits**2).sum()
-            doubt.backward()  # type: ignore[no-untyped-call]
+            traits = self.net.centred_traits(self._learned)[:, torch.as_tensor(plant, device=self.device)]
+            (TRAITS_DOUBT * (self.net.traits**2).sum()).backward()  # type: ignore[no-untyped-call]
             windows = windows_at(self.tracks, run, row, settings.steps, settings.scale)
-            total += self._losses.learn(windows, plant, weight)
-            torch.nn.utils.clip_grad_norm_(self.net.parameters(), LARGEST_GRADIENT * settings.members)
+            total += self._losses.learn(windows, traits, weight)
+            self._clip()
             self.optimiser.step()
         return total / (self.updates * settings.members)
+
+    def _clip(self) -> None:
+        """Each member's gradient by itself: what one cannot learn from must not slow another down."""
+        gradients = [p.grad for p in self.net.parameters() if p.grad is not None]
+        squares = torch.stack([(g**2).flatten(1).sum(1) if g.dim() > 1 else g**2 for g in gradients]).sum(0)
+        factor = (LARGEST_GRADIENT / (squares.sqrt() + 1e-6)).clamp(max=1.0)
+        for gradient in gradients:
+            gradient.mul_(factor.reshape(-1, *[1] * (gradient.dim() - 1)))
 
     def _judge(self) -> Array:
         """Loss of each member on plants that it never learned from, with nothing known of them; shape (members,)."""
@@ -202,11 +211,8 @@ class SequenceTraining:
         self.best_epoch[better] = self.stopping.epoch
         which = torch.tensor(better, device=self.device)
         for name, value in self.net.state_dict().items():
-            if name == "traits":
-                self.best[name] = value.detach().clone()  # shared by all members
-            else:
-                shape = (-1, *[1] * (value.dim() - 1))
-                self.best[name] = torch.where(which.reshape(shape), value, self.best[name])
+            shape = (-1, *[1] * (value.dim() - 1))
+            self.best[name] = torch.where(which.reshape(shape), value, self.best[name])
 
     def _state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         arrays = {f"net.{name}": value.cpu().numpy() for name, value in self.net.state_dict().items()}
@@ -217,8 +223,8 @@ class SequenceTraining:
         state = {
             "random": self.random.bit_generator.state,
             "stopping": self.stopping.state(),
-            "train": self.curve.train,
-            "validate": self.curve.validate,
+            "train": list(self.curve.train),
+            "validate": list(self.curve.validate),
         }
         return arrays, state
 

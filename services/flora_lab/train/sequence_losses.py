@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flora_lab.simulator.neural_law import ANGLE_SCALE, GROWTH_CM_PER_H, STEP_H, TRAIT_SHARE
 from flora_lab.train import fused_law, sequence_net
-from flora_lab.train.sequence_net import LawNet
+from flora_lab.train.sequence_net import TRAITS, LawNet
 from flora_lab.train.windows import Windows
 
 Array = npt.NDArray[Any]
@@ -22,12 +22,12 @@ _NAMES: Final = ("w_ih", "w_hh", "b", "w_out", "b_out", "log_zone")
 class Losses(Protocol):
     """Losses of one network."""
 
-    def learn(self, windows: Windows, plant: Array, weight: Array) -> float:
+    def learn(self, windows: Windows, traits: Tensor, weight: Array) -> float:
         """Add the gradient of the weighted sum of all losses to the network's.
 
         Args:
             windows: where from, and what the plants did.
-            plant: index of each window's plant, shape (windows,).
+            traits: of the plants, shape (members, windows, 3); of the network.
             weight: shape (members, windows); windows of weight 0 are not run.
 
         Returns:
@@ -44,10 +44,9 @@ class TorchLosses:
     def __init__(self, net: LawNet) -> None:
         self._net = net
 
-    def learn(self, windows: Windows, plant: Array, weight: Array) -> float:
+    def learn(self, windows: Windows, traits: Tensor, weight: Array) -> float:
         """See :class:`Losses`."""
         net = self._net
-        traits = net.centred_traits()[torch.as_tensor(plant, device=net.b.device)]
         total = (sequence_net.losses(net, windows, traits) * torch.as_tensor(weight, device=net.b.device)).sum()
         total.backward()  # type: ignore[no-untyped-call]
         return float(total.detach())
@@ -56,7 +55,7 @@ class TorchLosses:
         """See :class:`Losses`."""
         net = self._net
         with torch.no_grad():
-            unknown = torch.zeros(weight.shape[1], net.traits.shape[1], device=net.b.device, dtype=net.b.dtype)
+            unknown = torch.zeros(*weight.shape, TRAITS, device=net.b.device, dtype=net.b.dtype)
             return np.asarray(sequence_net.losses(net, windows, unknown).cpu().numpy())
 
 
@@ -66,21 +65,21 @@ class CompiledLosses:
     def __init__(self, net: LawNet) -> None:
         self._net = net
 
-    def learn(self, windows: Windows, plant: Array, weight: Array) -> float:
+    def learn(self, windows: Windows, traits: Tensor, weight: Array) -> float:
         """See :class:`Losses`."""
         net = self._net
-        factors = factors_of(net.centred_traits()[torch.from_numpy(plant)])
+        factors = factors_of(traits)
         loss, gradient = fused_law.losses_and_gradient(self._weights(), factors.detach().numpy(), windows, weight)
         for name in _NAMES:
             found = torch.from_numpy(getattr(gradient, name))
             parameter = getattr(net, name)
             parameter.grad = found if parameter.grad is None else parameter.grad + found
-        factors.backward(torch.from_numpy(gradient.factors.sum(0)))  # type: ignore[no-untyped-call]
+        factors.backward(torch.from_numpy(gradient.factors))  # type: ignore[no-untyped-call]
         return float((loss * weight).sum())
 
     def tell(self, windows: Windows, weight: Array) -> Array:
         """See :class:`Losses`."""
-        unknown = torch.zeros(weight.shape[1], self._net.traits.shape[1])
+        unknown = torch.zeros(*weight.shape, TRAITS)
         return fused_law.losses(self._weights(), factors_of(unknown).numpy(), windows, weight)
 
     def _weights(self) -> fused_law.Weights:
@@ -88,6 +87,6 @@ class CompiledLosses:
 
 
 def factors_of(traits: Tensor) -> Tensor:
-    """Growth in a step (cm), scale of the angles that are told, scale of the rates of bending; shape (windows, 3)."""
-    vigour, speed, lean = torch.exp(TRAIT_SHARE * traits).chunk(3, dim=-1)
+    """Growth in a step (cm), scale of the angles that are told, scale of the rates of bending; shape (..., 3)."""
+    vigour, speed, lean = torch.exp(TRAIT_SHARE * traits).chunk(TRAITS, dim=-1)
     return torch.cat([vigour * (GROWTH_CM_PER_H * STEP_H), ANGLE_SCALE / lean, speed * lean], dim=-1)

@@ -65,15 +65,23 @@ class LawNet(nn.Module):
         self.w_out = drawn(members, hidden, OUTPUTS, scale=0.3 * size)
         self.b_out = nn.Parameter(torch.zeros(members, OUTPUTS))
         self.log_zone = nn.Parameter(torch.full((members,), math.log(ZONE_CM)))
-        self.traits = nn.Parameter(torch.zeros(plants, TRAITS))
+        self.traits = nn.Parameter(torch.zeros(members, plants, TRAITS))
 
     @property
     def members(self) -> int:
         return int(self.w_ih.shape[0])
 
-    def centred_traits(self) -> Tensor:
-        """Traits about their mean over plants, shape (plants, 3): the typical plant has zeros."""
-        return self.traits - self.traits.mean(0)
+    def centred_traits(self, learned: Tensor) -> Tensor:
+        """Traits about their mean over the plants that each member learns from: the typical plant has zeros.
+
+        Args:
+            learned: which they are, shape (members, plants), 0 or 1.
+
+        Returns:
+            Shape (members, plants, 3).
+        """
+        share = (learned / learned.sum(1, keepdim=True)).unsqueeze(-1)
+        return self.traits - (self.traits * share).sum(1, keepdim=True)
 
     def law_weights(self) -> dict[str, npt.NDArray[Any]]:
         """For :class:`flora_lab.simulator.neural_law.NeuralLaw`."""
@@ -124,7 +132,7 @@ def free_run(
         net: the members.
         length, angle: stems to start from, shape (members, windows, segments); cm and rad from the vertical.
         light: levels, shape (steps, windows, 2).
-        traits: of the plants, shape (windows, 3).
+        traits: of the plants as each member has them, shape (members, windows, 3).
         every: stems are told after every so many steps.
 
     Returns:
@@ -188,7 +196,7 @@ def losses(net: LawNet, windows: Windows, traits: Tensor) -> Tensor:
     Args:
         net: the members.
         windows: where from, and what the plants did.
-        traits: of the plants, shape (windows, traits).
+        traits: of the plants as each member has them, shape (members, windows, 3).
 
     Returns:
         Shape (members, windows).
@@ -201,7 +209,7 @@ def losses(net: LawNet, windows: Windows, traits: Tensor) -> Tensor:
     length = tensor(windows.length).expand(net.members, -1, -1)
     angle = tensor(windows.angle).expand(net.members, -1, -1)
     line, line_length, known = tensor(windows.line_cm), tensor(windows.line_length_cm), tensor(windows.known)
-    total = torch.zeros(net.members, len(traits), dtype=kind, device=place)
+    total = torch.zeros(net.members, traits.shape[1], dtype=kind, device=place)
     for k, (lengths, angles) in enumerate(free_run(net, length, angle, tensor(windows.light), traits, windows.every)):
         shape = _robust(distances_cm(lengths, angles, line[:, k]) / float(windows.near_cm[k]) ** 2).mean(-1)
         size = _robust(((lengths.sum(-1) - line_length[:, k]) / float(windows.near_length_cm[k])) ** 2)
