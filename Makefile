@@ -77,4 +77,4 @@ pins:  ## write deploy/constraints.txt from the environment (first: make setup E
 	   $(BIN)/python -m pip freeze --exclude-editable; } > deploy/constraints.txt
 
 clean:  ## remove the environment and all results
-	rm -rf $(VENV) $(BENCH_VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(BENCH_VENV) $(KERAS_VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

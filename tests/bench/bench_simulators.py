@@ -3,6 +3,7 @@
     .venv/bin/python tests/bench/bench_simulators.py                 quick: 6 + 6 plants, some two minutes
     .venv/bin/python tests/bench/bench_simulators.py --full --json out/simulators.json      the tables of the docs
     .venv/bin/python tests/bench/bench_simulators.py --pixels        what small pictures do to the paper's recipe
+    .venv/bin/python tests/bench/bench_simulators.py --chance        do plants lie where simulated ones do by chance?
 
 Trains every recipe on the paper's nine experiments, grown in the virtual box, and judges them on other individuals,
 half under six-hour switching, half under random light. docs/results/simulators.md says what the figures mean.
@@ -34,7 +35,9 @@ from flora_lab.rollout.intervals import median  # noqa: E402
 from flora_lab.rollout.report import as_json  # noqa: E402
 from flora_lab.rollout.work import judge_all  # noqa: E402
 from flora_lab.run_tracks import RunTrack, load_runs  # noqa: E402
+from flora_lab.simulator.interface import Chance  # noqa: E402
 from flora_lab.simulator.load import load  # noqa: E402
+from flora_lab.simulator.measured import in_steps, side_by_side  # noqa: E402
 from flora_twin.main import main as twin  # noqa: E402
 
 TRAINING_SEED = 1
@@ -44,6 +47,8 @@ HORIZONS_H = (1.0, 6.0, 24.0)
 WATCH_H = 24.0
 PIXELS_CM = (0.0, 0.18, 0.36, 0.72)
 ROWS_PER_H = 12
+CHANCE_H = (6, 24, 48, 72)
+DRAWN = 100
 
 
 def main() -> int:
@@ -51,7 +56,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         work = options.keep or Path(scratch)
         work.mkdir(parents=True, exist_ok=True)
-        found = pixels(work, options) if options.pixels else simulators(work, options)
+        found = (pixels if options.pixels else chance if options.chance else simulators)(work, options)
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
@@ -130,6 +135,36 @@ def pixels(work: Path, options: argparse.Namespace) -> dict[str, Any]:
             flush=True,
         )
     return {"pixels": rows}
+
+
+def chance(work: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Individuals and courses drawn by chance, from each held-out plant's first stem."""
+    each = options.plants or (12 if options.full else 6)
+    nine = grown(work / "nine", TRAINING_SEED)
+    held = grown(work / "held-out", options.held_out_seed, open_loop=each, closed_loop=0, random=each)
+    batch = side_by_side([in_steps(track) for track in load_runs(sorted(held.iterdir()))])
+    plants = batch.points_cm.shape[1]
+    print("| | axis | " + " | ".join(f"{hours} h" for hours in CHANCE_H) + " |\n|---|---|" + "---|" * len(CHANCE_H))
+    found: dict[str, Any] = {}
+    for name in ("sequence", "mechanistic"):
+        path = work / f"{name}.simulator"
+        if not path.exists():
+            told(["--recipe", name, *map(str, sorted(nine.iterdir())), "-o", str(path)])
+        simulator = load(path)
+        seeds = Chance(np.arange(plants * DRAWN))
+        state = simulator.start(np.repeat(batch.points_cm[0], DRAWN, axis=0), seeds)
+        inside = {}
+        for row, light in enumerate(np.repeat(batch.light, DRAWN, axis=1), start=1):
+            state, stems = simulator.step(state, light, batch.step_s)
+            if row % ROWS_PER_H == 0 and row // ROWS_PER_H in CHANCE_H:
+                below = stems[:, -1].reshape(plants, DRAWN, 2) < batch.points_cm[row, :, None, -1]
+                share = below.mean(axis=1)
+                inside[row // ROWS_PER_H] = ((share > 0.05) & (share < 0.95)).mean(axis=0).tolist()
+        found[name] = inside
+        for axis in range(2):
+            cells = " | ".join(f"{100.0 * inside[hours][axis]:.0f} %" for hours in CHANCE_H)
+            print(f"| {name} | {'xy'[axis]} | {cells} |", flush=True)
+    return {"inside_90_percent": found, "plants": plants, "drawn": DRAWN}
 
 
 def grown(
@@ -258,6 +293,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--full", action="store_true", help="12 + 12 held-out plants")
     parser.add_argument("--plants", type=int, help="held-out plants under each kind of light")
     parser.add_argument("--pixels", action="store_true", help="the paper's recipe on tracks in whole pixels")
+    parser.add_argument("--chance", action="store_true", help="individuals and courses drawn by chance")
     parser.add_argument("--held-out-seed", type=int, default=HELD_OUT_SEED)
     parser.add_argument("--seed", type=int, default=1, help="of the resampling of plants")
     parser.add_argument("--json", type=Path)

@@ -6,7 +6,7 @@ Individuals are drawn, or recognised from what was seen of them; what happens by
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +75,10 @@ class GrowingSimulator(Simulator[GrowingState]):
         ValueError: a prior of other traits than the law's.
     """
 
+    law_error_cm: ClassVar[float] = 0.0
+    """How far from a plant the law itself is to be taken for when a plant is recognised: what is seen within it tells
+    nothing of the individual."""
+
     def __init__(self, law: Law, prior: Prior, noise: DriveNoise, shown: DataRange, step_s: float = STEP_S) -> None:
         if prior.mean.shape != (len(law.traits),):
             raise ValueError(f"a prior of {prior.mean.shape} traits; the law has {', '.join(law.traits)}")
@@ -122,7 +126,8 @@ class GrowingSimulator(Simulator[GrowingState]):
         time_s = np.arange(len(history.points_cm), dtype=np.float64) * history.step_s
         points, light = history.points_cm[:, b], history.light[:, b]
         seen = Observed(MeasuredRun("", "", "", points, light, time_s, history.step_s, {}), self.law)
-        return fit(seen, self.prior, covariance_of(seen.responses(self.prior.mean), self.noise)).traits
+        seen_as = replace(self.noise, measure_cm=float(np.hypot(self.noise.measure_cm, self.law_error_cm)))
+        return fit(seen, self.prior, covariance_of(seen.responses(self.prior.mean), seen_as)).traits
 
     def step(
         self, state: GrowingState, light: Array, dt_s: float, covariates: Covariates | None = None

@@ -43,6 +43,8 @@ MM_PER_CM: Final = 10.0
 class HeldOut:
     """Free runs of plants from their first stem, by the member that never learned from them.
 
+    The same plants chose which epoch of the member is kept: a little too good.
+
     Attributes:
         horizons: names such as ``6h``, and ``end``.
         tip_mm, still_mm: error of the tip, and that of a stem that does not move, shape (runs, horizons); NaN where a
