@@ -372,8 +372,8 @@ def test_stopping_is_as_keras_does_it(losses: list[float], patience: int) -> Non
 
 
 def test_the_curve_is_a_picture_of_its_numbers() -> None:
-    one = curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], 2, level=("nothing moves", 1e-3))
+    one = curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], [2], level=("nothing moves", 1e-3))
     assert one.startswith(b"\x89PNG\r\n")
-    assert one == curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], 2, level=("nothing moves", 1e-3))
-    assert one != curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], 2)
-    assert one != curve_png([2e-3, 1.6e-3], [1.8e-3, 1.45e-3], 2, level=("nothing moves", 1e-3))
+    assert one == curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], [2], level=("nothing moves", 1e-3))
+    assert one != curve_png([2e-3, 1.6e-3], [1.8e-3, 1.55e-3], [2])
+    assert one != curve_png([2e-3, 1.6e-3], [1.8e-3, 1.45e-3], [2], level=("nothing moves", 1e-3))

@@ -108,7 +108,7 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     judged = entry.judged
     hours = stem_hours(run.hours)
     simulated = _tracks(judged, index, len(run))
-    figure = _figure(13.0, 4.2)
+    figure = _figure(13.0, 4.5)
     axes = figure.subplots(1, 1 + len(hours), sharex=True, sharey=True)
     rows = [min(len(run) - 1, round(hour * 3600.0 / run.step_s)) for hour in hours]
     _path(axes[0], run.points_cm[:, -1], rows, "black", "-")
@@ -134,7 +134,7 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     figure.legend(handles, [name for name, _, _ in legend], loc="outside lower center", ncols=3, frameon=False)
     title = f"{run.name} ({run.plant}), running free; dots on the path are where the stems are"
     title += f"; {entry.name} also goes outside the picture" if outside else ""
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(f"{title}\n", fontsize=10)  # the empty line keeps it off the panels' titles
     return _png(figure)
 
 

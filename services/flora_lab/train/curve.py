@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 def curve_png(
     train: Sequence[float],
     validate: Sequence[float],
-    best_epoch: int,
+    best_epochs: Sequence[int],
     *,
     level: tuple[str, float] | None = None,
     unit: str = "mean absolute error (normalised unit)",
@@ -21,7 +21,7 @@ def curve_png(
 
     Args:
         train, validate: L_t and L_v per epoch, in units.
-        best_epoch: the one whose weights were kept, counted from 1.
+        best_epochs: those whose weights were kept, counted from 1: one, or one of each member.
         unit: of the losses, as the axis names it.
         level: name and loss of a trivial predictor, drawn as a line.
 
@@ -34,7 +34,9 @@ def curve_png(
     epochs = range(1, len(train) + 1)
     axes.plot(epochs, train, color="#3b6fd4", marker=".", label="training loss $L_t$")
     axes.plot(epochs, validate, color="#c8372d", marker=".", label="validation loss $L_v$")
-    axes.axvline(best_epoch, color="#9a9a9a", linestyle="--", linewidth=1, label=f"kept: epoch {best_epoch}")
+    kept = f"kept: epoch {', '.join(map(str, best_epochs))}{' (of each member)' if len(best_epochs) > 1 else ''}"
+    for k, epoch in enumerate(best_epochs):
+        axes.axvline(epoch, color="#9a9a9a", linestyle="--", linewidth=1, label="" if k else kept)
     if level is not None:
         axes.axhline(level[1], color="black", linestyle=":", linewidth=1, label=level[0])
     axes.set_yscale("log")

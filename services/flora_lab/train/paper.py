@@ -162,7 +162,7 @@ def train_on(material: Material, options: TrainOptions, progress: Progress) -> T
         weights=simulator.weights(),
         scales=simulator.scales(),
         provenance=provenance,
-        figures={"training.png": curve_png(*fitted.losses, fitted.stopping.best_epoch, level=nothing)},
+        figures={"training.png": curve_png(*fitted.losses, [fitted.stopping.best_epoch], level=nothing)},
         table=_table(results, unit_cm, parts),
     )
 

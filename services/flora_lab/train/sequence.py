@@ -86,7 +86,6 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
         noise = noise_about([Observed(run, law) for run in measured], prior)
     simulator = SequenceSimulator(law, prior, noise, range_of(measured), measured[0].step_s)
     judged = judge(simulator, measured, training.held, tracks.plant[: len(measured)])
-    kept = max(curve.best_epoch)
     return trained(
         simulator,
         measured,
@@ -100,7 +99,7 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
             "held_out_tip_mm": _medians(judged.horizons, judged.tip_mm),
             "held_out_nothing_moves_mm": _medians(judged.horizons, judged.still_mm),
         },
-        figures={"training.png": curve_png(curve.train, curve.validate, kept, unit="loss of free runs")},
+        figures={"training.png": curve_png(curve.train, curve.validate, curve.best_epoch, unit="loss of free runs")},
         table=_table(judged, simulator.noise, len(curve.train), curve.best_epoch),
     )
 
