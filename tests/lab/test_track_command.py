@@ -308,7 +308,7 @@ def test_version_and_bare_command(capfd: pytest.CaptureFixture[str]) -> None:
     assert "from photographs to controllers" in capfd.readouterr().out
     assert main(["trakc"]) == 2
     said = capfd.readouterr().err
-    assert "Did you mean 'track'?" in said
+    assert "Did you mean 'track'" in said
     assert said.count("\n") == 1
 
 

@@ -6,6 +6,7 @@ The same tracks, recipe and seed give the same bytes: no time and no name of a m
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +20,11 @@ import numpy.typing as npt
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_lab import made_folders
 from flora_lab.dataset.build import Built
 from flora_lab.dataset.pairs import COORDINATES, Pairs
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe
+from flora_lab.made_folders import read_named
 from flora_lab.run_tracks import RunTrack
 
 FORMAT: Final = 1
@@ -113,12 +116,7 @@ def check_output(path: Path, *, force: bool) -> None:
     Raises:
         BadInput: something is there, and it is not to be, or must not be, replaced.
     """
-    if not path.exists() and not path.is_symlink():
-        return
-    if not force:
-        raise BadInput(f"{path}: is there already; name another folder with -o, or add --force")
-    if path.is_symlink() or not path.is_dir() or {entry.name for entry in path.iterdir()} != FILES:
-        raise BadInput(f"{path}: is not a training set and is not replaced; name another folder with -o")
+    made_folders.check_output(path, force=force, needed=FILES, what="a training set")
 
 
 def write_dataset(
@@ -168,13 +166,8 @@ def read_dataset(path: Path) -> Dataset:
     if table.get("format") != FORMAT:
         raise BadInput(f"{info_path}: format {str(table.get('format'))[:20]} is not known; this program reads {FORMAT}")
     info = convert(table, DatasetFile, where=str(info_path), error=BadInput)
-    try:
-        sha256 = files.sha256_of_file(data_path)
-    except OSError as problem:
-        raise BadInput(f"{data_path}: cannot be read ({problem.strerror})") from problem
-    if sha256 != info.data_sha256:
-        raise BadInput(f"{data_path}: is damaged or belongs to another {INFO_FILE}: its SHA-256 is {sha256[:12]}…")
-    arrays = _arrays(data_path, info.vectors)
+    data = read_named(data_path, info.data_sha256, INFO_FILE)
+    arrays = _arrays(data_path, data, info.vectors)
     pairs = Pairs(**arrays)
     if not (np.isfinite(pairs.inputs).all() and np.isfinite(pairs.outputs).all()):
         raise BadInput(f"{data_path}: holds numbers that are not finite")
@@ -185,9 +178,9 @@ def read_dataset(path: Path) -> Dataset:
     return Dataset(pairs, info)
 
 
-def _arrays(path: Path, vectors: int) -> dict[str, Any]:
+def _arrays(path: Path, data: bytes, vectors: int) -> dict[str, Any]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             found = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
         raise BadInput(f"{path}: not an archive of arrays ({problem})") from problem

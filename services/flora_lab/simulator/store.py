@@ -21,6 +21,8 @@ import safetensors.numpy
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_lab import made_folders
+from flora_lab.made_folders import read_named
 
 FORMAT: Final = 1
 SUFFIX: Final = ".simulator"
@@ -144,13 +146,7 @@ def check_output(path: Path, *, force: bool) -> None:
     Raises:
         BadInput: something is there, and it is not to be, or must not be, replaced.
     """
-    if not path.exists() and not path.is_symlink():
-        return
-    if not force:
-        raise BadInput(f"{path}: is there already; name another folder with -o, or add --force")
-    names = {entry.name for entry in path.iterdir()} if path.is_dir() and not path.is_symlink() else set()
-    if not FILES <= names <= FILES | FIGURES:
-        raise BadInput(f"{path}: is not a simulator and is not replaced; name another folder with -o")
+    made_folders.check_output(path, force=force, needed=FILES, allowed=FIGURES, what="a simulator")
 
 
 def write_simulator(
@@ -217,13 +213,7 @@ def read_stored(path: Path) -> Stored:
     if table.get("format") != FORMAT:
         raise BadInput(f"{info_path}: format {str(table.get('format'))[:20]} is not known; this program reads {FORMAT}")
     info = convert(table, SimulatorFile, where=str(info_path), error=BadInput)
-    try:
-        data = weights_path.read_bytes()
-    except OSError as problem:
-        raise BadInput(f"{weights_path}: cannot be read ({problem.strerror})") from problem
-    sha256 = files.sha256_of_bytes(data)
-    if sha256 != info.weights_sha256:
-        raise BadInput(f"{weights_path}: is damaged or belongs to another {INFO_FILE}: its SHA-256 is {sha256[:12]}…")
+    data = read_named(weights_path, info.weights_sha256, INFO_FILE)
     try:
         weights = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
