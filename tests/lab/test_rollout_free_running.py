@@ -18,6 +18,7 @@ from flora_lab.rollout.free_running import (
     judge,
     length_cm,
     one_step,
+    parting_mm,
     start_rows,
     starts_of,
 )
@@ -259,3 +260,13 @@ def test_when_a_plant_left_the_data_is_told() -> None:
     summary = summarise([Entry("straight", judged)], runs, PLAN, 1, {})
     assert summary.beyond["straight"][0] == pytest.approx(5.0, abs=0.1)
     assert np.isnan(summary.beyond["straight"][1])
+
+
+def test_members_part_as_far_as_they_are_from_their_middle() -> None:
+    class Mean(StraightPlant):
+        def members(self) -> list[StraightPlant]:
+            return [StraightPlant(shift_cm=-0.3), StraightPlant(shift_cm=0.3), StraightPlant(shift_cm=0.0)]
+
+    runs = [straight_run("long", hours=24.0), straight_run("short", hours=6.0)]
+    np.testing.assert_allclose(parting_mm(Mean(), runs), 3.0 * np.sqrt(2.0 / 3.0))
+    assert np.isnan(parting_mm(StraightPlant(), runs)).all()

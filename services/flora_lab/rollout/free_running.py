@@ -185,6 +185,23 @@ def one_step(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> OneStep:
     return OneStep(run, errors_between(simulated, after, before))
 
 
+def parting_mm(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> FloatArray:
+    """How far a simulator's members are from one another at each run's end, from its first stem.
+
+    Returns:
+        Root mean square distance of their tips from the tips' mean, shape (runs,); NaN where there are no members.
+    """
+    first = np.zeros(len(runs), dtype=np.int64)
+    tips = []
+    for member in simulator.members():
+        free = free_run(member, runs, first, watched=False)
+        tips.append(free.simulated_cm[free.last, np.arange(len(runs)), -1])
+    if not tips:
+        return np.full(len(runs), np.nan)
+    away = np.stack(tips) - np.mean(tips, axis=0)
+    return np.asarray(MM_PER_CM * np.sqrt((away**2).sum(axis=-1).mean(axis=0)), dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True)
 class Plan:
     """From where simulators are to run free.

@@ -77,6 +77,12 @@ def notes(summary: Summary) -> list[str]:
                 f"{name}, running free from the first stem, left the data that it was made from in {len(left)} of "
                 f"{runs} runs, first after {left.min():.1f} h; what it says then is a guess."
             )
+    for name, apart in summary.parting_mm.items():
+        if np.isfinite(apart).any():
+            found.append(
+                f"{name} is the mean of several members; by the end, from the first stem, their tips are "
+                f"{np.nanmedian(apart):.1f} mm from their middle (median over runs): as much is not known."
+            )
     return found
 
 
@@ -116,6 +122,10 @@ def as_json(summary: Summary) -> dict[str, Any]:
         "beyond_data_h": {
             name: {run.name: _number(value) for run, value in zip(summary.runs, hours.tolist(), strict=True)}
             for name, hours in summary.beyond.items()
+        },
+        "members_part_mm": {
+            name: {run.name: _number(value) for run, value in zip(summary.runs, apart.tolist(), strict=True)}
+            for name, apart in summary.parting_mm.items()
         },
         "time_scales": {name: _time_scale(scale) for name, scale in summary.time_scales.items()},
         "notes": notes(summary),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import numpy as np
@@ -76,6 +76,7 @@ class Summary:
         per_run: place (tip errors) and simulator to one number per run, shape (runs,).
         beyond: simulator to hours after which each run was beyond its data, from the first stem; NaN for never.
         time_scales: simulator to its best time scale, where it was searched.
+        parting_mm: simulator to how far its members part by each run's end, shape (runs,); NaN where it has none.
     """
 
     names: tuple[str, ...]
@@ -87,6 +88,7 @@ class Summary:
     per_run: dict[tuple[Place, str], FloatArray]
     beyond: dict[str, FloatArray]
     time_scales: dict[str, TimeScale]
+    parting_mm: dict[str, FloatArray] = field(default_factory=dict)
 
     @property
     def step_s(self) -> float:

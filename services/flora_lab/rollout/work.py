@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from flora_common.errors import BadInput
 from flora_lab.rollout.at_time_scale import AtTimeScale
-from flora_lab.rollout.free_running import Plan, judge, starts_of
+from flora_lab.rollout.free_running import Plan, judge, parting_mm, starts_of
 from flora_lab.rollout.predictors import GoesOn, NothingMoves
 from flora_lab.rollout.summary import Entry, Summary, summarise
 from flora_lab.rollout.time_scale import FREE_RUNS, TimeScale, best_time_scale
@@ -79,7 +80,8 @@ def judge_all(
                 judged[f"{name} at time scale {factor:.3g}"] = AtTimeScale(one, factor)
     judged[NothingMoves.kind], judged[GoesOn.kind] = NothingMoves(step_s), GoesOn(step_s)
     entries = _entries(judged, runs, plan, stage)
-    return entries, summarise(entries, runs, plan, seed, scales)
+    apart = {name: parting_mm(one, runs) for name, one in simulators.items()}
+    return entries, replace(summarise(entries, runs, plan, seed, scales), parting_mm=apart)
 
 
 def steps_in(hours: float, step_s: float) -> int:

@@ -7,7 +7,7 @@ same numbers. Lengths in cm in the frame of :mod:`flora_common.geometry`, times 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -97,6 +97,13 @@ class Simulator(ABC, Generic[StateT]):
     @abstractmethod
     def stems_cm(self, state: StateT) -> FloatArray:
         """The stems of a state, shape (batch, 10, 2)."""
+
+    def members(self) -> Sequence[Simulator[StateT]]:
+        """Simulators that this one is the mean of, each learned from other plants; none where it is a single one.
+
+        Where they part, the simulator does not know.
+        """
+        return ()
 
     def is_beyond_data(self, state: StateT) -> npt.NDArray[Any]:
         """Which plants have come where the simulator was never shown any, shape (batch,), bool."""

@@ -37,8 +37,10 @@ class SequenceSimulator(GrowingSimulator):
         self.neural = law
 
     def members(self) -> list[SequenceSimulator]:
-        """Each member as a simulator of its own: where they part, the model does not know."""
+        """Each member as a simulator of its own, if there are several."""
         count = self.neural.memory_shape[0]
+        if count == 1:
+            return []
         return [
             SequenceSimulator(self.neural.member(m), self.prior, self.noise, self.shown, self.step_s)
             for m in range(count)

@@ -122,7 +122,7 @@ def judge(
         held: which plants each member never saw, shape (members, plants).
         plant: index of each run's plant.
     """
-    members = simulator.members()
+    members = simulator.members() or [simulator]
     names = (*(f"{hours}h" for hours in HORIZONS_H), "end")
     tip = np.full((len(runs), len(names)), np.nan)
     still = tip.copy()
