@@ -35,7 +35,7 @@ from flora_lab.rollout.intervals import median  # noqa: E402
 from flora_lab.rollout.report import as_json  # noqa: E402
 from flora_lab.rollout.work import judge_all  # noqa: E402
 from flora_lab.run_tracks import RunTrack, load_runs  # noqa: E402
-from flora_lab.simulator.interface import Chance  # noqa: E402
+from flora_lab.simulator.interface import Chance, run  # noqa: E402
 from flora_lab.simulator.load import load  # noqa: E402
 from flora_lab.simulator.measured import in_steps, side_by_side  # noqa: E402
 from flora_twin.main import main as twin  # noqa: E402
@@ -164,7 +164,17 @@ def chance(work: Path, options: argparse.Namespace) -> dict[str, Any]:
         for axis in range(2):
             cells = " | ".join(f"{100.0 * inside[hours][axis]:.0f} %" for hours in CHANCE_H)
             print(f"| {name} | {'xy'[axis]} | {cells} |", flush=True)
-    return {"inside_90_percent": found, "plants": plants, "drawn": DRAWN}
+    members = load(work / "sequence.simulator").members()
+    unusual = {"as they were": batch.light, "one lamp": np.ones_like(batch.light) * np.array([1.0, 0.0])}
+    unusual |= {"dark": np.zeros_like(batch.light), "both lamps": np.ones_like(batch.light)}
+    print("\n| lamps | tips of the members from their middle at 72 h, mm |\n|---|---|")
+    parting = {}
+    for name, light in unusual.items():
+        tips = np.stack([run(one, one.start(batch.points_cm[0]), light, batch.step_s)[-1, :, -1] for one in members])
+        away = np.sqrt(((tips - tips.mean(axis=0)) ** 2).sum(axis=-1).mean(axis=0))
+        parting[name] = 10.0 * float(np.median(away))
+        print(f"| {name} | {parting[name]:.1f} |")
+    return {"inside_90_percent": found, "plants": plants, "drawn": DRAWN, "members_part_mm": parting}
 
 
 def grown(
