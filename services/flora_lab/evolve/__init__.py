@@ -1,0 +1,1 @@
+"""Evolution: tasks, controllers and their fitness."""

@@ -1,0 +1,256 @@
+"""A controller steers a simulated plant: the plain reference, one episode after the other or many side by side.
+
+Wahby et al. 2018, section "Evolutionary approach": every five minutes the controller is asked; C <= 0.5 lights the left
+lamp, otherwise the right; a run ends when the tip is about 21 cm high or the plant touches the obstacle, and fitness is
+that of the tip at the end, whatever ended the run. Here a run also ends when its time is over.
+
+A controller without an answer would be held and then overruled by the rig. Such an episode ends there, with no more
+fitness than a plant that never grew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common import geometry
+from flora_common.errors import BadInput
+from flora_common.geometry import FloatArray
+from flora_common.network import NotFinite
+from flora_common.runs import LEVELS
+from flora_common.shapes import Obstacle, Target
+from flora_lab.evolve import scenario_batch
+from flora_lab.evolve.controllers import Controller
+from flora_lab.evolve.task import Scenario, Task
+from flora_lab.simulator.interface import Chance, Simulator
+from flora_lab.simulator.measured import STEP_S
+
+Array = npt.NDArray[Any]
+Reason = Literal["collision", "height", "time", "no answer"]
+
+LEFT_AT_MOST: Final = 0.5
+"""The rule that controller files name; see :data:`flora_common.controller_file.OUTPUT_RULE`."""
+NO_ANSWER_FITNESS: Final = 0.0
+"""That of a tip at the anchor."""
+REASONS: Final[tuple[Reason, ...]] = ("collision", "height", "time", "no answer")
+"""In the order in which they count where several hold; :class:`Outcomes` gives their places."""
+COLLISION, HEIGHT, TIME, NO_ANSWER = range(len(REASONS))
+_RUNNING: Final = -1
+AT_ONCE: Final = 256
+"""Episodes side by side; what comes out does not depend on it."""
+_SIDES: Final = np.array([LEVELS["left"], LEVELS["right"]])
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One episode from its start to its end.
+
+    Attributes:
+        scenario: that it was run in.
+        stems_cm: shape (steps + 1, 10, 2); the first is the start, the last the end.
+        outputs: of the controller, shape (steps,).
+        is_right: which lamp shone from each stem to the next, shape (steps,), bool.
+        reason: why it ended.
+        fitness: at the end.
+    """
+
+    scenario: Scenario
+    stems_cm: FloatArray
+    outputs: FloatArray
+    is_right: Array
+    reason: Reason
+    fitness: float
+
+    @property
+    def steps(self) -> int:
+        """Of five minutes each."""
+        return len(self.outputs)
+
+    @property
+    def hours(self) -> float:
+        return self.steps * STEP_S / 3600.0
+
+    @property
+    def first_in_target(self) -> int | None:
+        """After how many steps the tip was in the target's circle for the first time; None where it never was."""
+        inside = [self.scenario.target.contains(x, y) for x, y in self.stems_cm[:, -1].tolist()]
+        return inside.index(True) if True in inside else None
+
+    @property
+    def clearance_cm(self) -> float:
+        """The least distance from stem to obstacle; 0 where they touched."""
+        return min(geometry.clearance_cm(stem, self.scenario.obstacle) for stem in self.stems_cm)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcomes:
+    """Many episodes; all arrays of shape (controllers, scenarios, plants), ``is_right`` with another axis.
+
+    Attributes:
+        fitness: at the end.
+        reason: place in :data:`REASONS`.
+        steps: of five minutes each.
+        tip_cm: at the end, with another axis of 2.
+        is_right: which lamp shone in each step, shape (controllers, scenarios, plants, most steps), bool; False after
+            the end.
+    """
+
+    fitness: FloatArray
+    reason: Array
+    steps: Array
+    tip_cm: FloatArray
+    is_right: Array
+
+
+def run_episode(
+    controller: Controller, simulator: Simulator[Any], task: Task, scenario: Scenario, seed: int | None = None
+) -> Course:
+    """One controller in one scenario, step by step.
+
+    Args:
+        controller: whom.
+        simulator: of the plant.
+        task: start and end.
+        scenario: target and obstacle; need not be one of the task's.
+        seed: of the plant that is drawn; the typical plant, to which nothing happens by chance, where None.
+
+    Raises:
+        BadInput: the simulator gives a stem that is not finite, or knows no steps of five minutes.
+    """
+    chance = None if seed is None else Chance(np.array([seed]))
+    state = simulator.start(task.start_stem_cm[None], chance)
+    stems = [simulator.stems_cm(state)[0]]
+    outputs: list[float] = []
+    while True:
+        _check_finite(stems[-1], task, scenario, len(outputs))
+        reason = _over(stems[-1], len(outputs), task, scenario.obstacle)
+        if reason is not None:
+            break
+        output = _answer(controller, stems[-1], scenario)
+        if output is None:
+            reason = "no answer"
+            break
+        outputs.append(output)
+        state, points = simulator.step(state, _SIDES[[int(output > LEFT_AT_MOST)]], STEP_S)
+        stems.append(points[0])
+    told = np.array(outputs)
+    fitness = _fitness(stems[-1], scenario.target, reason)
+    return Course(scenario, np.stack(stems), told, told > LEFT_AT_MOST, reason, fitness)
+
+
+def _over(stem_cm: FloatArray, steps: int, task: Task, obstacle: Obstacle) -> Reason | None:
+    if geometry.collides(stem_cm, obstacle):
+        return "collision"
+    if stem_cm[-1, 1] >= task.stop_height_cm:
+        return "height"
+    return "time" if steps >= task.most_steps else None
+
+
+def _answer(controller: Controller, stem_cm: FloatArray, scenario: Scenario) -> float | None:
+    """C, or None where it is no finite number."""
+    try:
+        output = controller.output(stem_cm, scenario.target, scenario.obstacle)
+    except NotFinite:
+        return None
+    return output if np.isfinite(output) else None
+
+
+def _fitness(stem_cm: FloatArray, target: Target, reason: Reason) -> float:
+    fitness = geometry.fitness(float(stem_cm[-1, 0]), float(stem_cm[-1, 1]), target)
+    return min(fitness, NO_ANSWER_FITNESS) if reason == "no answer" else fitness
+
+
+def _check_finite(stems_cm: FloatArray, task: Task, scenario: Scenario, steps: int) -> None:
+    if not np.isfinite(stems_cm).all():
+        raise BadInput(
+            f"the simulator gives a stem that is not finite, task {task.name}, scenario {scenario.name}, after "
+            f"{steps * STEP_S / 3600.0:.1f} h; train it again or take another one"
+        )
+
+
+def run_episodes(
+    controllers: Sequence[Controller], simulator: Simulator[Any], task: Task, seeds: Sequence[int] | None = None
+) -> Outcomes:
+    """Every controller in every scenario on every plant: each the same as :func:`run_episode` gives for it alone.
+
+    Args:
+        controllers: whom.
+        simulator: of the plant.
+        task: scenarios, start and end.
+        seeds: one for each plant that is drawn; the typical plant alone where None.
+
+    Raises:
+        BadInput: see :func:`run_episode`.
+    """
+    shape = (len(controllers), len(task.scenarios), 1 if seeds is None else len(seeds))
+    out = Outcomes(
+        np.empty(shape),
+        np.full(shape, _RUNNING, dtype=np.int8),
+        np.zeros(shape, dtype=np.int64),
+        np.empty((*shape, 2)),
+        np.zeros((*shape, task.most_steps), dtype=np.bool_),
+    )
+    lanes = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
+    for first in range(0, len(lanes), AT_ONCE):
+        part = lanes[first : first + AT_ONCE]
+        chance = None if seeds is None else Chance(np.array(seeds)[part[:, 2]])
+        _side_by_side(controllers, simulator, task, part, chance, out)
+    return out
+
+
+def _side_by_side(
+    controllers: Sequence[Controller],
+    simulator: Simulator[Any],
+    task: Task,
+    lanes: Array,
+    chance: Chance | None,
+    out: Outcomes,
+) -> None:
+    """Some episodes until the last has ended; one that has ended is simulated on, and no more looked at.
+
+    Args:
+        controllers, simulator, task: see :func:`run_episodes`.
+        lanes: controller, scenario and plant of each, shape (batch, 3).
+        chance: of each.
+        out: written.
+    """
+    arrays = scenario_batch.arrays_of(task)
+    state = simulator.start(np.repeat(task.start_stem_cm[None], len(lanes), axis=0), chance)
+    stems = simulator.stems_cm(state)
+    right = np.zeros(len(lanes), dtype=np.bool_)
+    running = np.arange(len(lanes))
+    for k in range(task.most_steps + 1):
+        for lane in running[~np.isfinite(stems[running]).all(axis=(1, 2))]:
+            _check_finite(stems[lane], task, task.scenarios[lanes[lane, 1]], k)
+        hit = scenario_batch.collide(stems[running], arrays.edges[lanes[running, 1]])
+        high = stems[running, -1, 1] >= task.stop_height_cm
+        over = TIME if k >= task.most_steps else _RUNNING
+        reason = np.where(hit, COLLISION, np.where(high, HEIGHT, over))
+        for place in np.flatnonzero(reason == _RUNNING):
+            lane = running[place]
+            who, where, _ = lanes[lane]
+            output = _answer(controllers[who], stems[lane], task.scenarios[where])
+            if output is None:
+                reason[place] = NO_ANSWER
+            else:
+                right[lane] = output > LEFT_AT_MOST
+        ended = running[reason != _RUNNING]
+        _write(ended, reason[reason != _RUNNING], k, stems[ended, -1], arrays.targets, lanes, out)
+        running = running[reason == _RUNNING]
+        if not len(running):
+            return
+        out.is_right[(*lanes[running].T, k)] = right[running]
+        state, stems = simulator.step(state, _SIDES[right.astype(np.int64)], STEP_S)
+
+
+def _write(
+    ended: Array, reason: Array, steps: int, tips_cm: FloatArray, targets: FloatArray, lanes: Array, out: Outcomes
+) -> None:
+    at = tuple(lanes[ended].T)
+    fitness = scenario_batch.fitness(tips_cm, targets[lanes[ended, 1]])
+    out.fitness[at] = np.where(reason == NO_ANSWER, np.minimum(fitness, NO_ANSWER_FITNESS), fitness)
+    out.reason[at], out.steps[at], out.tip_cm[at] = reason, steps, tips_cm

@@ -1,0 +1,126 @@
+"""What a controller is evolved for: targets, obstacles, the stem that a run starts from, and when it ends.
+
+The two built-in tasks are those of Wahby et al. 2018, section "Task: Obstacle avoidance by shaping the plant". The
+paper averages fitness over all scenarios of a task, also over the one of which it says that the plant cannot reach the
+target there; ``is_possible`` marks it, so that the average can be told without it too.
+
+There is no penalty for touching the obstacle: the run ends there, far from the target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_lab.simulator.measured import STEP_S
+
+START_CM: Final = 6.5
+"""Height of the stem that runs start from, where nothing else is said: below all of the paper's obstacles."""
+STOP_CM: Final = 21.0
+HOURS: Final = 72.0
+"""Wahby et al. 2018: a run ends at a height of about 21 cm, which beans reach in about 72 hours."""
+Stem = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One target and one obstacle.
+
+    Attributes:
+        name: unique in its task.
+        target, obstacle: what the controller is told.
+        is_possible: False where no plant can reach the target; such a scenario counts in the average all the same.
+    """
+
+    name: str
+    target: Target
+    obstacle: Obstacle
+    is_possible: bool = True
+
+
+def straight_stem(height_cm: float = START_CM, tip_x_cm: float = 0.0) -> Stem:
+    """A straight stem from the anchor to its tip, ten points at even heights."""
+    share = np.linspace(0.0, 1.0, STEM_POINTS)
+    return tuple(zip((share * tip_x_cm).tolist(), (share * height_cm).tolist(), strict=True))
+
+
+STRAIGHT_STEM: Final = straight_stem()
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Scenarios, their common start and their common end.
+
+    Attributes:
+        name: of the task.
+        scenarios: one or more.
+        start_cm: the stem at the start, ten points (x, y) in cm, anchor first.
+        stop_height_cm: a run ends when the tip is as high.
+        hours: a run ends after this time at the latest.
+    """
+
+    name: str
+    scenarios: tuple[Scenario, ...]
+    start_cm: Stem = STRAIGHT_STEM
+    stop_height_cm: float = STOP_CM
+    hours: float = HOURS
+
+    @property
+    def most_steps(self) -> int:
+        """Decisions in a run that ends by time: one every five minutes."""
+        return round(self.hours * 3600.0 / STEP_S)
+
+    @property
+    def start_stem_cm(self) -> FloatArray:
+        """The stem at the start, shape (10, 2)."""
+        return np.array(self.start_cm)
+
+    @property
+    def is_possible(self) -> FloatArray:
+        """Which scenarios are, shape (scenarios,), bool."""
+        return np.array([scenario.is_possible for scenario in self.scenarios])
+
+
+LEFT_TARGET: Final = Target(-5.12, 17.9)
+MIDDLE_TARGET: Final = Target(0.0, 17.9)
+
+LEFT: Final = Task(
+    "left",
+    (
+        Scenario("first", LEFT_TARGET, Obstacle(-8.24, 8.8)),
+        Scenario("second", LEFT_TARGET, Obstacle(-5.57, 8.8)),
+        Scenario("third", LEFT_TARGET, Obstacle(-2.90, 8.8), is_possible=False),
+        Scenario("fourth", LEFT_TARGET, Obstacle(2.43, 8.8)),
+    ),
+)
+MIDDLE: Final = Task(
+    "middle",
+    (
+        Scenario("right", MIDDLE_TARGET, Obstacle(3.0, 8.8)),
+        Scenario("left", MIDDLE_TARGET, Obstacle(-3.0, 8.8)),
+    ),
+)
+BUILT_IN: Final[Mapping[str, Task]] = {task.name: task for task in (LEFT, MIDDLE)}
+
+
+@dataclass(frozen=True, slots=True)
+class Averages:
+    """Fitness over the scenarios of a task.
+
+    Attributes:
+        of_all: over all scenarios, as the paper averages.
+        of_possible: without those that no plant can do.
+    """
+
+    of_all: FloatArray
+    of_possible: FloatArray
+
+
+def averages(task: Task, fitness: FloatArray) -> Averages:
+    """Means over the last axis of ``fitness``, shape (..., scenarios); one number for each of the others."""
+    return Averages(fitness.mean(axis=-1), fitness[..., task.is_possible].mean(axis=-1))
