@@ -54,20 +54,33 @@ def genome_config(*, calm: bool = False) -> Any:
 
 def random_networks(count: int, seed: int, *, calm: bool = False, mutations: int = 30) -> list[Any]:
     """neat-python's networks of random genomes."""
+    config = genome_config(calm=calm)
+    genomes = random_genomes(count, seed, config, mutations=mutations)
+    return [FeedForwardNetwork.create(genome, config) for genome in genomes]
+
+
+def random_genomes(count: int, seed: int, config: Any, *, mutations: int = 30, steering: bool = False) -> list[Any]:
+    """Random genomes; ``steering`` ones tend to drive the tip towards the target, and so switch the lamps often."""
     before = random.getstate()
     random.seed(seed)
     try:
-        return [_network(genome_config(calm=calm), key, mutations) for key in range(count)]
+        return [_genome(config, key, mutations, steering) for key in range(count)]
     finally:
         random.setstate(before)
 
 
-def _network(config: Any, key: int, mutations: int) -> Any:
+def _genome(config: Any, key: int, mutations: int, steering: bool) -> Any:
     genome = DefaultGenome(key)
     genome.configure_new(config.genome_config)
     for _ in range(random.randint(0, mutations)):
         genome.mutate(config.genome_config)
-    return FeedForwardNetwork.create(genome, config)
+    if steering:
+        for name, weight in (("x10", -25.0), ("target_x", 25.0)):
+            link = (-1 - INPUT_NAMES.index(name), 0)
+            gene = genome.create_connection(config.genome_config, *link, 10_000 + link[0])
+            gene.weight, gene.enabled = weight, True
+            genome.connections[link] = gene
+    return genome
 
 
 def followers(count: int, seed: int) -> list[Any]:

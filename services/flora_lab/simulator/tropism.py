@@ -107,7 +107,7 @@ def _growth_cm_per_h(total_cm: float, p: Array) -> float:
 
 
 @jit
-def _step_lane(
+def step_lane(
     length: Array,
     angle: Array,
     n: int,
@@ -148,7 +148,7 @@ def _lanes(
         n = count[b]
         for k in range(light.shape[0]):
             for _ in range(parts):
-                n = _step_lane(
+                n = step_lane(
                     length[b],
                     angle[b],
                     n,

@@ -1,0 +1,186 @@
+"""Networks in flat arrays, asked one after another: the plain reference, and the functions that faster kernels share.
+
+Source of the functions: neat-python 2.0.0, ``neat/activations.py`` and ``neat/aggregations.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.network import MAX_NUMBER
+from flora_lab.evolve.genome_arrays import GenomeArrays
+from flora_lab.evolve.neat_genes import ACTIVATION_NUMBERS, AGGREGATION_NUMBERS
+
+Array = npt.NDArray[Any]
+
+_A: Final = ACTIVATION_NUMBERS
+_SIGMOID, _TANH, _SIN, _GAUSS, _RELU = _A["sigmoid"], _A["tanh"], _A["sin"], _A["gauss"], _A["relu"]
+_ELU, _LELU, _SELU, _SOFTPLUS, _IDENTITY = _A["elu"], _A["lelu"], _A["selu"], _A["softplus"], _A["identity"]
+_CLAMPED, _INV, _LOG, _EXP, _ABS = _A["clamped"], _A["inv"], _A["log"], _A["exp"], _A["abs"]
+_HAT, _SQUARE, _CUBE = _A["hat"], _A["square"], _A["cube"]
+_G: Final = AGGREGATION_NUMBERS
+_SUM, _PRODUCT, _MAX, _MIN = _G["sum"], _G["product"], _G["max"], _G["min"]
+_MAXABS, _MEDIAN, _MEAN = _G["maxabs"], _G["median"], _G["mean"]
+_SELU_LAMBDA: Final = 1.0507009873554804934193349852946
+_SELU_ALPHA: Final = 1.6732632423543772848170429916717
+
+_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+
+
+def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
+    """Ask every network.
+
+    Args:
+        arrays: G networks.
+        inputs: shape (I,) for all, or (G, I), already scaled.
+
+    Returns:
+        Shape (G, number of outputs); NaN where a network has no answer: an input that is not finite or larger than
+        ``MAX_NUMBER``, or a node whose sum or value is not finite.
+
+    Raises:
+        ValueError: another shape of inputs.
+    """
+    values = np.asarray(inputs, dtype=np.float64)
+    if values.shape not in ((arrays.inputs,), (len(arrays), arrays.inputs)):
+        raise ValueError(f"inputs of shape {values.shape} for {len(arrays)} networks of {arrays.inputs} inputs")
+    values = np.ascontiguousarray(np.broadcast_to(values, (len(arrays), arrays.inputs)))
+    return np.asarray(
+        _activate_all(
+            values,
+            arrays.node_start,
+            arrays.bias,
+            arrays.response,
+            arrays.activation,
+            arrays.aggregation,
+            arrays.edge_start,
+            arrays.source,
+            arrays.weight,
+            arrays.output,
+            np.empty(arrays.slots),
+        )
+    )
+
+
+@_compiled
+def _activate_all(
+    inputs: Array,
+    node_start: Array,
+    bias: Array,
+    response: Array,
+    activation: Array,
+    aggregation: Array,
+    edge_start: Array,
+    source: Array,
+    weight: Array,
+    output: Array,
+    slots: Array,
+) -> Array:
+    answers = np.empty(output.shape)
+    width = inputs.shape[1]
+    for g in range(len(inputs)):
+        is_sound = True
+        for i in range(width):
+            slots[i] = inputs[g, i]
+            # written so that NaN fails it too
+            is_sound = is_sound and abs(inputs[g, i]) <= MAX_NUMBER
+        for n in range(node_start[g], node_start[g + 1]):
+            gathered = aggregate(aggregation[n], slots, source, weight, edge_start[n], edge_start[n + 1])
+            before = bias[n] + response[n] * gathered
+            value = activation_value(activation[n], before)
+            is_sound = is_sound and np.isfinite(before) and np.isfinite(value)
+            slots[width + n - node_start[g]] = value
+        for o in range(output.shape[1]):
+            answers[g, o] = slots[output[g, o]] if is_sound else np.nan
+    return answers
+
+
+@_compiled
+def aggregate(kind: int, slots: Array, source: Array, weight: Array, start: int, end: int) -> float:
+    """One node's aggregation of ``slots[source] * weight`` over its edges, in their order; neat-python's for none."""
+    if kind in (_SUM, _MEAN):
+        total = 0.0
+        for e in range(start, end):
+            total += slots[source[e]] * weight[e]
+        return total / (end - start) if kind == _MEAN and end > start else total
+    if kind == _PRODUCT:
+        total = 1.0
+        for e in range(start, end):
+            total *= slots[source[e]] * weight[e]
+        return total
+    if start == end:
+        return 0.0
+    if kind == _MEDIAN:
+        return _median(slots, source, weight, start, end)
+    best = slots[source[start]] * weight[start]
+    for e in range(start + 1, end):
+        term = slots[source[e]] * weight[e]
+        if kind == _MAX:
+            is_better = term > best
+        elif kind == _MIN:
+            is_better = term < best
+        else:
+            is_better = abs(term) > abs(best)
+        if is_better:
+            best = term
+    return float(best)
+
+
+@_compiled
+def _median(slots: Array, source: Array, weight: Array, start: int, end: int) -> float:
+    terms = np.empty(end - start)
+    for e in range(start, end):
+        terms[e - start] = slots[source[e]] * weight[e]
+    terms.sort()
+    middle = len(terms) // 2
+    return float(terms[middle] if len(terms) % 2 == 1 else (terms[middle - 1] + terms[middle]) / 2.0)
+
+
+@_compiled
+def _clamp(z: float, limit: float) -> float:
+    return max(-limit, min(limit, z))
+
+
+@_compiled
+def activation_value(kind: int, z: float) -> float:
+    """A node's activation. For a ``z`` that is not finite it may be any number: check ``z`` itself."""
+    if kind == _SIGMOID:
+        return 1.0 / (1.0 + math.exp(-_clamp(5.0 * z, 60.0)))
+    if kind == _TANH:
+        return math.tanh(_clamp(2.5 * z, 60.0))
+    if kind == _SIN:
+        return math.sin(_clamp(5.0 * z, 60.0))
+    if kind == _GAUSS:
+        return math.exp(-5.0 * math.pow(_clamp(z, 3.4), 2.0))
+    if kind == _RELU:
+        return z if z > 0.0 else 0.0
+    if kind == _ELU:
+        return z if z > 0.0 else math.exp(z) - 1.0
+    if kind == _LELU:
+        return z if z > 0.0 else 0.005 * z
+    if kind == _SELU:
+        return _SELU_LAMBDA * z if z > 0.0 else _SELU_LAMBDA * _SELU_ALPHA * (math.exp(z) - 1.0)
+    if kind == _SOFTPLUS:
+        return 0.2 * math.log(1.0 + math.exp(_clamp(5.0 * z, 60.0)))
+    if kind == _IDENTITY:
+        return z
+    if kind == _CLAMPED:
+        return _clamp(z, 1.0)
+    if kind == _INV:
+        return 1.0 / z if z != 0.0 else 0.0
+    if kind == _LOG:
+        return math.log(max(1e-7, z))
+    if kind == _EXP:
+        return math.exp(_clamp(z, 60.0))
+    if kind == _ABS:
+        return abs(z)
+    if kind == _HAT:
+        return max(0.0, 1.0 - abs(z))
+    if kind == _SQUARE:
+        return math.pow(z, 2.0)  # as neat-python has it; z * z could differ in the last bit
+    return math.pow(z, 3.0)

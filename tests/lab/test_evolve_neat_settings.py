@@ -1,0 +1,100 @@
+"""Settings of NEAT: complete, and whatever is wrong in a file is told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flora_common.errors import BadInput
+from flora_lab.evolve.neat_fast import FAST
+from flora_lab.evolve.neat_settings import STOCK, load_settings
+
+
+def test_those_of_the_package() -> None:
+    settings = load_settings()
+
+    for types in (STOCK, FAST):
+        config = settings.config(types)
+        genome = config.genome_config
+        assert (config.pop_size, genome.num_inputs, genome.num_outputs) == (150, 26, 1)
+        assert (genome.feed_forward, genome.activation_options, genome.aggregation_options) == (
+            True,
+            ["sigmoid"],
+            ["sum"],
+        )
+        assert config.genome_type is types.genome
+
+
+def test_a_file_names_only_what_it_changes(tmp_path: Path) -> None:
+    path = tmp_path / "mine.cfg"
+    path.write_text("[NEAT]\npop_size = 40\n[DefaultGenome]\nweight_max_value = 3\n", encoding="utf-8")
+
+    changed = load_settings(path)
+
+    assert (changed.population, changed.config().genome_config.weight_max_value) == (40, 3.0)
+    assert changed.config().genome_config.weight_min_value == -8.0
+    assert load_settings(path, population=7).population == 7
+    assert load_settings().population == 150
+
+
+def test_the_same_settings_are_the_same_text(tmp_path: Path) -> None:
+    path = tmp_path / "mine.cfg"
+    path.write_text("[DefaultGenome]\nweight_max_value = 8\n[NEAT]\npop_size=40\n", encoding="utf-8")
+
+    assert load_settings(path).text == load_settings(population=40).text != load_settings().text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[NEAT]\npop_sise = 3", r"unknown setting `pop_sise` in \[NEAT\]; did you mean `pop_size`\?"),
+        ("[DefaultGenom]\nnum_hidden = 3", r"unknown section \[DefaultGenom\]; did you mean `DefaultGenome`\?"),
+        ("[NEAT]\nseed = 3", r"unknown setting `seed` in \[NEAT\]"),
+        ("[NEAT]\npop_size = 1", "pop_size is 1; it must be between 2 and 1000000"),
+        ("[NEAT]\npop_size = many", "pop_size is `many`; it must be a whole number"),
+        ("[NEAT]\npop_size = 3.5", "pop_size is `3.5`; it must be a whole number"),
+        ("[NEAT]\nreset_on_extinction = perhaps", "must be True or False"),
+        ("[NEAT]\nfitness_criterion = most", "fitness_criterion is `most`; known: max, mean, min"),
+        ("[DefaultGenome]\nconn_add_prob = 7", "conn_add_prob is 7.0; it must be between 0 and 1"),
+        ("[DefaultGenome]\nconn_add_prob = nan", "conn_add_prob is nan; it must be finite"),
+        ("[DefaultGenome]\nweight_max_value = inf", "weight_max_value is inf; it must be finite"),
+        ("[DefaultGenome]\nweight_mutate_power = -1", "weight_mutate_power is -1.0; it must not be negative"),
+        ("[DefaultGenome]\nweight_max_value = -9", "weight_min_value is above weight_max_value"),
+        ("[DefaultGenome]\nweight_mutate_rate = often", "weight_mutate_rate is `often`; it must be a number"),
+        ("[DefaultGenome]\nfeed_forward = False", "feed-forward networks only"),
+        ("[DefaultGenome]\nactivation_options = sigmod", "unknown activation `sigmod`; did you mean `sigmoid`"),
+        ("[DefaultGenome]\nactivation_options = tanh", "activation_default is `sigmoid`, not one of"),
+        ("[DefaultGenome]\naggregation_options = sum mode", "unknown aggregation `mode`"),
+        ("[DefaultGenome]\ninitial_connection = ful_direct", "did you mean `full_direct`"),
+        ("[DefaultGenome]\ninitial_connection = partial_direct", "needs a share between 0 and 1"),
+        ("[DefaultGenome]\ninitial_connection = partial_direct 2", "needs a share between 0 and 1"),
+        ("[DefaultGenome]\nweight_init_type = odd", "weight_init_type is `odd`"),
+        ("[DefaultStagnation]\nspecies_fitness_func = best", "species_fitness_func is `best`"),
+        ("[DefaultReproduction]\nelitism = 151", "elitism is 151; the population is only 150"),
+        ("pop_size = 3", "not a settings file"),
+        ("[NEAT]\n[NEAT]", "not a settings file"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.cfg"
+    path.write_text(text, encoding="utf-8")
+
+    with pytest.raises(BadInput, match=message) as told:
+        load_settings(path)
+
+    assert str(told.value).startswith(str(path))
+    assert "\n" not in str(told.value)
+
+
+def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"gone.cfg: cannot be read \(No such file"):
+        load_settings(tmp_path / "gone.cfg")
+    (tmp_path / "bytes.cfg").write_bytes(b"\xff\xfe")
+    with pytest.raises(BadInput, match="not UTF-8 text"):
+        load_settings(tmp_path / "bytes.cfg")
+
+
+def test_a_population_of_one() -> None:
+    with pytest.raises(BadInput, match="population 1: a population needs 2 genomes or more"):
+        load_settings(population=1)
