@@ -44,6 +44,8 @@ from flora_common.toml_strict import convert
 
 SUFFIX: Final = ".controller.json"
 MAX_BYTES: Final = 1_000_000
+LEFT_AT_MOST: Final = 0.5
+"""C <= 0.5 is left, otherwise right (Wahby et al. 2018, section "Evolutionary approach")."""
 OUTPUT_RULE: Final = "at most 0.5 is left"
 
 POINT_NAMES: Final = tuple(f"{axis}{i}" for i in range(1, STEM_POINTS + 1) for axis in "xy")

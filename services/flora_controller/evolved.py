@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from flora_common.controller_file import LoadedController
+from flora_common.controller_file import LEFT_AT_MOST, LoadedController
 from flora_common.network import NotFinite
 from flora_common.shapes import Obstacle, Target
 from flora_controller.steering import Decision, Memory, View
-
-LEFT_AT_MOST = 0.5
-"""C <= 0.5 is left, otherwise right (Wahby et al. 2018, section "Evolutionary approach")."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,8 +169,12 @@ def read_dataset(path: Path) -> Dataset:
     data = read_named(data_path, info.data_sha256, INFO_FILE)
     arrays = _arrays(data_path, data, info.vectors)
     pairs = Pairs(**arrays)
-    if not (np.isfinite(pairs.inputs).all() and np.isfinite(pairs.outputs).all()):
-        raise BadInput(f"{data_path}: holds numbers that are not finite")
+    for name in ("inputs", "outputs"):
+        bad = ~np.isfinite(arrays[name]).all(axis=1)
+        if bad.any():
+            vector = int(np.argmax(bad))
+            run, row = int(pairs.run[vector]), int(pairs.row[vector])
+            raise BadInput(f"{data_path}: `{name}` of vector {vector + 1} (run {run + 1}, row {row + 1}) is not finite")
     if not np.isin(pairs.inputs[:, -1], (0.0, 1.0)).all():
         raise BadInput(f"{data_path}: holds a light that is neither 0 (left) nor 1 (right)")
     if pairs.run.min() < 0 or pairs.run.max() >= len(info.run):

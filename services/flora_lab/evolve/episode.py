@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common import geometry
+from flora_common.controller_file import LEFT_AT_MOST
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_common.network import NotFinite
@@ -32,8 +33,6 @@ from flora_lab.simulator.measured import STEP_S
 Array = npt.NDArray[Any]
 Reason = Literal["collision", "height", "time", "no answer"]
 
-LEFT_AT_MOST: Final = 0.5
-"""The rule that controller files name; see :data:`flora_common.controller_file.OUTPUT_RULE`."""
 NO_ANSWER_FITNESS: Final = 0.0
 """That of a tip at the anchor."""
 REASONS: Final[tuple[Reason, ...]] = ("collision", "height", "time", "no answer")

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.controller_file import LEFT_AT_MOST
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.evolve import scenario_batch
 from flora_lab.evolve.controllers import INPUTS
-from flora_lab.evolve.episode import LEFT_AT_MOST, Outcomes
+from flora_lab.evolve.episode import Outcomes
 from flora_lab.evolve.genome_arrays import GenomeArrays
 from flora_lab.evolve.shared_kernel import NOT_FINITE, run_shared
 from flora_lab.evolve.task import Task

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from flora_common.network import MAX_NUMBER
 from flora_lab.evolve.genome_arrays import GenomeArrays
 from flora_lab.evolve.neat_genes import ACTIVATION_NUMBERS, AGGREGATION_NUMBERS
+from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
@@ -28,8 +28,6 @@ _SUM, _PRODUCT, _MAX, _MIN = _G["sum"], _G["product"], _G["max"], _G["min"]
 _MAXABS, _MEDIAN, _MEAN = _G["maxabs"], _G["median"], _G["mean"]
 _SELU_LAMBDA: Final = 1.0507009873554804934193349852946
 _SELU_ALPHA: Final = 1.6732632423543772848170429916717
-
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
 def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
@@ -67,7 +65,7 @@ def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
     )
 
 
-@_compiled
+@jit
 def _activate_all(
     inputs: Array,
     node_start: Array,
@@ -89,18 +87,40 @@ def _activate_all(
             slots[i] = inputs[g, i]
             # written so that NaN fails it too
             is_sound = is_sound and abs(inputs[g, i]) <= MAX_NUMBER
-        for n in range(node_start[g], node_start[g + 1]):
-            gathered = aggregate(aggregation[n], slots, source, weight, edge_start[n], edge_start[n + 1])
-            before = bias[n] + response[n] * gathered
-            value = activation_value(activation[n], before)
-            is_sound = is_sound and np.isfinite(before) and np.isfinite(value)
-            slots[width + n - node_start[g]] = value
+        is_sound = is_sound and fill_slots(
+            g, width, node_start, bias, response, activation, aggregation, edge_start, source, weight, slots
+        )
         for o in range(output.shape[1]):
             answers[g, o] = slots[output[g, o]] if is_sound else np.nan
     return answers
 
 
-@_compiled
+@jit
+def fill_slots(
+    g: int,
+    inputs: int,
+    node_start: Array,
+    bias: Array,
+    response: Array,
+    activation: Array,
+    aggregation: Array,
+    edge_start: Array,
+    source: Array,
+    weight: Array,
+    slots: Array,
+) -> bool:
+    """Evaluate network g, whose inputs stand in the first slots; False as soon as a node is not finite."""
+    for n in range(node_start[g], node_start[g + 1]):
+        gathered = aggregate(aggregation[n], slots, source, weight, edge_start[n], edge_start[n + 1])
+        before = bias[n] + response[n] * gathered
+        value = activation_value(activation[n], before)
+        if not (np.isfinite(before) and np.isfinite(value)):
+            return False
+        slots[inputs + n - node_start[g]] = value
+    return True
+
+
+@jit
 def aggregate(kind: int, slots: Array, source: Array, weight: Array, start: int, end: int) -> float:
     """One node's aggregation of ``slots[source] * weight`` over its edges, in their order; neat-python's for none."""
     if kind in (_SUM, _MEAN):
@@ -131,7 +151,7 @@ def aggregate(kind: int, slots: Array, source: Array, weight: Array, start: int,
     return float(best)
 
 
-@_compiled
+@jit
 def _median(slots: Array, source: Array, weight: Array, start: int, end: int) -> float:
     terms = np.empty(end - start)
     for e in range(start, end):
@@ -141,12 +161,12 @@ def _median(slots: Array, source: Array, weight: Array, start: int, end: int) ->
     return float(terms[middle] if len(terms) % 2 == 1 else (terms[middle - 1] + terms[middle]) / 2.0)
 
 
-@_compiled
+@jit
 def _clamp(z: float, limit: float) -> float:
     return max(-limit, min(limit, z))
 
 
-@_compiled
+@jit
 def activation_value(kind: int, z: float) -> float:
     """A node's activation. For a ``z`` that is not finite it may be any number: check ``z`` itself."""
     if kind == _SIGMOID:

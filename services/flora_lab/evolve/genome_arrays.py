@@ -15,13 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_common.network import MAX_NUMBER
 from flora_lab.evolve.neat_genes import FlatGenes, flatten
+from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
@@ -142,16 +142,14 @@ _REASONS: Final = {
     _RECURRENT: "the network is recurrent; only feed-forward networks can be evaluated (feed_forward = True)",
 }
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_compiled
+@jit
 def _place_of(key: int, sorted_keys: Array, places: Array) -> int:
     at = np.searchsorted(sorted_keys, key)
     return places[at] if at < len(sorted_keys) and sorted_keys[at] == key else -1
 
 
-@_compiled
+@jit
 def _arrange(
     genome_nodes: Array,
     genome_links: Array,

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any, Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from flora_common.network import ACTIVATIONS, AGGREGATIONS
+from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
@@ -117,10 +117,7 @@ class SortedGenes:
         return cls(flat, _orders(flat.node, flat.node_start), _orders(link, flat.link_start), link)
 
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
-
-
-@_compiled
+@jit
 def _orders(keys: Array, start: Array) -> Array:
     """Places sorted by key within each genome. Insertion: keys come nearly in order, and few at a time."""
     order = np.arange(len(keys))
@@ -160,7 +157,7 @@ def distances(first: SortedGenes, place: int, others: SortedGenes, disjoint: flo
     )
 
 
-@_compiled
+@jit
 def _partners(
     keys_a: Array, order_a: Array, a0: int, a1: int, keys_b: Array, order_b: Array, b0: int, b1: int, partner: Array
 ) -> int:
@@ -187,7 +184,7 @@ def _partners(
     return single + b1 - j
 
 
-@_compiled
+@jit
 def _row(place: int, keys_a: Any, values_a: Any, keys_b: Any, values_b: Any, disjoint: float, weight: float) -> Array:
     nodes_a, links_a, node_order_a, link_order_a, node_a, link_a = keys_a
     bias_a, response_a, time_a, activation_a, aggregation_a, weight_a, enabled_a = values_a

@@ -11,33 +11,27 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from flora_common.network import MAX_NUMBER
-from flora_lab.evolve.genome_activate import activation_value, aggregate
+from flora_lab.evolve.episode import COLLISION, HEIGHT, NO_ANSWER, NO_ANSWER_FITNESS, REASONS, TIME
+from flora_lab.evolve.genome_activate import fill_slots
 from flora_lab.evolve.scenario_batch import collides_lane, fitness_lane
 from flora_lab.simulator import neural_law, tropism
-from flora_lab.simulator.rod import LONGEST_STEP_H, points_lane
+from flora_lab.simulator.rod import LONGEST_STEP_H, jit, points_lane
 
 Array = npt.NDArray[Any]
 
-COLLISION: Final = 0
-HEIGHT: Final = 1
-TIME: Final = 2
-NO_ANSWER: Final = 3
-"""As :data:`flora_lab.evolve.episode.REASONS`."""
-NOT_FINITE: Final = 4
+NOT_FINITE: Final = len(REASONS)
 """The simulator has left the numbers; whoever calls this says so."""
 _RUNNING: Final = -1
 
 _learned_step = neural_law.step_lane
 _tropism_step = tropism.step_lane
-_jit = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
-@_jit
+@jit
 def _answer(
     g: int,
     stem: Array,
@@ -59,18 +53,13 @@ def _answer(
     """
     width, first = len(stem), len(stem) + len(told)
     slots[:width], slots[width:first] = stem, told
-    for n in range(node_start[g], node_start[g + 1]):
-        before = bias[n] + response[n] * aggregate(
-            aggregation[n], slots, source, weight, edge_start[n], edge_start[n + 1]
-        )
-        value = activation_value(activation[n], before)
-        if not (np.isfinite(before) and np.isfinite(value)):
-            return np.nan
-        slots[first + n - node_start[g]] = value
-    return float(slots[output[g, 0]])
+    is_sound = fill_slots(
+        g, first, node_start, bias, response, activation, aggregation, edge_start, source, weight, slots
+    )
+    return float(slots[output[g, 0]]) if is_sound else np.nan
 
 
-@_jit
+@jit
 def run_shared(
     node_start: Array,
     bias: Array,
@@ -201,7 +190,7 @@ def run_shared(
             if why != _RUNNING:
                 x, y = points[u, -1, 0], points[u, -1, 1]
                 worth = fitness_lane(x, y, targets_cm[s, 0], targets_cm[s, 1])
-                fitness[g, s] = min(worth, 0.0) if why == NO_ANSWER else worth
+                fitness[g, s] = min(worth, NO_ANSWER_FITNESS) if why == NO_ANSWER else worth
                 reason[g, s], steps[g, s] = why, k
                 tip_cm[g, s, 0], tip_cm[g, s, 1] = x, y
                 continue

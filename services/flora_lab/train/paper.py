@@ -8,7 +8,6 @@ the paper used; those of the best epoch are kept, of which the paper says nothin
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from flora_common.errors import BadInput
 from flora_lab.dataset.build import build
 from flora_lab.dataset.pairs import Pairs
 from flora_lab.dataset.recipe import Recipe
-from flora_lab.dataset.store import DATA_FILE, RunEntry, read_dataset
+from flora_lab.dataset.store import RunEntry, read_dataset
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, Box, PaperNetwork, PaperSimulator
@@ -85,13 +84,9 @@ def train_on_data(path: Path, options: TrainOptions, progress: Progress) -> Trai
     """Learn from the training set in a folder.
 
     Raises:
-        BadInput: see :func:`flora_lab.dataset.store.read_dataset` and :func:`train_on`; a number that is not finite is
-            named by its vector.
+        BadInput: see :func:`flora_lab.dataset.store.read_dataset` and :func:`train_on`.
     """
-    try:
-        data = read_dataset(path)
-    except BadInput as problem:
-        raise BadInput(_not_finite(path / DATA_FILE) or str(problem)) from problem
+    data = read_dataset(path)
     material = Material(data.pairs, data.info.run, data.info.recipe, str(path), data.info.data_sha256)
     return train_on(material, options, progress)
 
@@ -274,18 +269,3 @@ def _fingerprint(pairs: Pairs, plants: Any) -> str:
         digest.update(array.tobytes())
     digest.update("\n".join(plants.tolist()).encode())
     return digest.hexdigest()
-
-
-def _not_finite(path: Path) -> str | None:
-    """Names the first vector that holds a number that is not finite; None where that is not what is wrong."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            for name in ("inputs", "outputs"):
-                bad = ~np.isfinite(archive[name]).all(axis=1)
-                if bad.any():
-                    row = int(np.argmax(bad))
-                    run, at = int(archive["run"][row]), int(archive["row"][row])
-                    return f"{path}: `{name}` of vector {row + 1} (run {run + 1}, row {at + 1}) is not finite"
-    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, zipfile.BadZipFile):
-        return None  # damaged in another way, which the reader has told
-    return None
