@@ -139,7 +139,6 @@ def _table(found: Population, known: Known) -> list[str]:
     residuals = [f"{10.0 * _size([fit]):.1f}" for fit in found.plants]
     lines.append(f"free-run residual of each run with its own constants, mm: {', '.join(residuals)}")
     if len(found.plants) < FEWEST_PLANTS:
-        lines.append(
-            f"{len(found.plants)} runs: too few to tell how plants differ; that is mostly what the sources say"
-        )
+        runs = f"{len(found.plants)} run{'s' if len(found.plants) > 1 else ''}"
+        lines.append(f"{runs}: too few to tell how plants differ; that is mostly what the sources say")
     return lines
