@@ -32,15 +32,15 @@ sys.exit(main(sys.argv[1:]))
 START = """
 import os, signal, sys
 from flora_lab.main import main
-from flora_lab.track import pool
+from flora_lab import worker_process
 
-start = pool._Worker.__init__
+start = worker_process.Worker.__init__
 
-def start_and_interrupt(self):
-    start(self)
+def start_and_interrupt(self, prepare):
+    start(self, prepare)
     os.killpg(0, signal.SIGINT)
 
-pool._Worker.__init__ = start_and_interrupt
+worker_process.Worker.__init__ = start_and_interrupt
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -1,32 +1,25 @@
 """Work on many pictures in several processes, with the results in order.
 
-Workers are fresh interpreters (spawn), not forks: OpenCV keeps threads, and a forked copy of a process with threads
-may hang. Each has one task at a time, so that neither side can block the other with a full pipe, and only a bounded
-number of results waits for its turn. Workers end with their pipe: also when this process is killed.
+Only a bounded number of results waits for its turn.
 """
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import pickle
-import signal
-import traceback
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing import connection, resource_tracker
+from multiprocessing import connection
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
 import cv2
 
-from flora_common.errors import FloraError
+from flora_lab.worker_process import Worker, start_workers
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 WAITING_PER_WORKER: Final = 3
 """Tasks handed out and results not yet taken, per worker."""
-_SECONDS_TO_END: Final = 5.0
 
 
 class Pool:
@@ -38,7 +31,7 @@ class Pool:
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._workers: list[_Worker] = []
+        self._workers: list[Worker] = []
 
     def __enter__(self) -> Pool:
         return self
@@ -58,23 +51,22 @@ class Pool:
             tasks: can be pickled.
 
         Raises:
-            FloraError: a worker is gone. What ``work`` raises is raised here too.
+            WorkerLost: a worker is gone. What ``work`` raises is raised here too.
         """
         if self.jobs == 1:
             with _one_thread():
                 yield from map(work, tasks)
             return
         if not self._workers:
-            self._start()
-        parcel = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
+            start_workers(self._workers, self.jobs, one_core)
         for worker in self._workers:
-            worker.send_bytes(parcel)
+            worker.employ(work)
         yield from self._in_order(iter(tasks))
 
     def _in_order(self, tasks: Iterator[Any]) -> Iterator[Any]:
         most = WAITING_PER_WORKER * self.jobs
         idle = list(self._workers)
-        busy: dict[object, tuple[_Worker, int]] = {}
+        busy: dict[object, tuple[Worker, int]] = {}
         done: dict[int, tuple[bool, Any]] = {}
         handed_out = taken = 0
         more = True
@@ -108,91 +100,10 @@ class Pool:
                 taken += 1
                 yield result
 
-    def _start(self) -> None:
-        # the tracker would unblock signals, were it first started in between
-        resource_tracker.ensure_running()
-        with _interrupts_held():
-            for _ in range(self.jobs):
-                self._workers.append(_Worker())
 
-
-class _Worker:
-    def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        self._process.start()
-        theirs.close()
-
-    def send_bytes(self, parcel: bytes) -> None:
-        self._still_there(lambda: self.pipe.send_bytes(parcel))
-
-    def send(self, task: object) -> None:
-        self._still_there(lambda: self.pipe.send((task,)))
-
-    def receive(self) -> tuple[bool, Any]:
-        """Whether the work was done, and its result or the exception."""
-        answer: tuple[bool, Any] = self._still_there(self.pipe.recv)
-        return answer
-
-    def end(self) -> None:
-        self.pipe.close()
-        self._process.terminate()
-        self._process.join(_SECONDS_TO_END)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process.close()
-
-    def _still_there(self, exchange: Callable[[], Any]) -> Any:
-        try:
-            return exchange()
-        except (EOFError, ConnectionError) as problem:
-            self._process.join(_SECONDS_TO_END)
-            raise FloraError(
-                f"a worker process ended with status {self._process.exitcode}; if memory ran out, use fewer --jobs"
-            ) from problem
-
-
-def _serve(pipe: connection.Connection) -> None:
-    """What a worker does: a tuple is a task, anything else the work to do from now on."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def one_core() -> None:
+    """OpenCV uses one: workers share the others out among themselves."""
     cv2.setNumThreads(1)
-    work: Callable[[Any], Any] | None = None
-    # the other end has gone: nobody wants the result
-    with contextlib.suppress(EOFError, ConnectionError):
-        while True:
-            message = pipe.recv()
-            if not isinstance(message, tuple):
-                work = message
-                continue
-            assert work is not None
-            try:
-                answer = (True, work(message[0]))
-            except Exception as problem:  # noqa: BLE001 - raised again in the process that waits for the result
-                if not isinstance(problem, FloraError):
-                    problem.add_note("In a worker process:\n" + "".join(traceback.format_exception(problem)))
-                answer = (False, problem)
-            pipe.send(answer)
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C goes to every process of a terminal, but only this one is to answer it, when the block has ended.
-
-    Processes that are started inside never hear it: a signal that is blocked stays blocked in them. Here blocking is
-    not enough, for a thread of some library may take the signal; so the handler waits too.
-    """
-    came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-    if came:
-        raise KeyboardInterrupt
 
 
 @contextlib.contextmanager

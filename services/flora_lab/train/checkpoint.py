@@ -22,6 +22,7 @@ import safetensors.numpy
 
 from flora_common import files
 from flora_common.errors import BadInput
+from flora_lab.stopped_work import check_same_work
 
 FORMAT: Final = "flora-checkpoint-1"
 EVERY_S: Final = 1.0
@@ -116,18 +117,8 @@ class Checkpoint:
             work, state = json.loads(header["work"]), json.loads(header["state"])
         except (safetensors.SafetensorError, ValueError, KeyError) as problem:
             raise BadInput(f"{self.path}: is damaged; {_REMEDY}") from problem
-        for name in sorted({*self._work, *work}):
-            then, now = work.get(name), self._work.get(name)
-            if then != now:
-                raise BadInput(
-                    f"{self.path}: is of other work, {name} was {_short(then)} and is {_short(now)} now; {_REMEDY}"
-                )
+        check_same_work(self.path, work, self._work, _REMEDY)
         return Saved(arrays, state)
 
 
 _REMEDY = "leave --resume out to begin anew"
-
-
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= 40 else f"{text[:12]}…"

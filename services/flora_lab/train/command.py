@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import enum
 import json
-import signal
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
@@ -18,11 +14,10 @@ from flora_common.suggest import did_you_mean
 from flora_lab.dataset.store import INFO_FILE as DATASET_INFO_FILE
 from flora_lab.run_tracks import load_runs
 from flora_lab.simulator.store import SimulatorFile, check_output, write_simulator
+from flora_lab.stopped_work import sigterm_ends
 from flora_lab.train.checkpoint import checkpoint_path
 from flora_lab.train.progress import shown
 from flora_lab.train.recipes import DEFAULT_RECIPE, RECIPES, Progress, Trained, TrainOptions
-
-TERMINATED_STATUS: Final = 128 + int(signal.SIGTERM)
 
 
 class SplitBy(enum.StrEnum):
@@ -86,7 +81,7 @@ def train(
         split=split.value if split else None,
     )
     silent = quiet or as_json
-    with _sigterm_ends(), shown(silent=silent, quiet=silent, tensorboard=tensorboard) as progress:
+    with sigterm_ends(), shown(silent=silent, quiet=silent, tensorboard=tensorboard) as progress:
         try:
             trained = _learn(recipe, inputs, options, progress)
         except (KeyboardInterrupt, SystemExit):
@@ -137,17 +132,3 @@ def _learn(recipe: str, inputs: list[Path], options: TrainOptions, progress: Pro
     if len(inputs) > 1:
         raise BadInput(f"{data[0]}: is a training set; name it alone, or runs only")
     return entry.from_data()(data[0], options, progress)
-
-
-@contextlib.contextmanager
-def _sigterm_ends() -> Iterator[None]:
-    """SIGTERM ends the command as Ctrl-C does: what was learned is kept."""
-
-    def end(_number: int, _frame: object) -> None:
-        sys.exit(TERMINATED_STATUS)
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

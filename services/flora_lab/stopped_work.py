@@ -1,0 +1,50 @@
+"""Long work that is stopped, and what is left of it to go on with."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from flora_common.errors import BadInput
+
+TERMINATED_STATUS: Final = 128 + int(signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def sigterm_ends() -> Iterator[None]:
+    """Within the block SIGTERM ends the command as Ctrl-C does: what was done is kept."""
+
+    def end(_number: int, _frame: object) -> None:
+        sys.exit(TERMINATED_STATUS)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any], remedy: str) -> None:
+    """Whether what is kept in ``path`` is of the work that is asked for.
+
+    Args:
+        path: a file or folder.
+        then, now: what the work was and is, as plain values.
+        remedy: what to do about a difference.
+
+    Raises:
+        BadInput: one line that says what differs.
+    """
+    for name in sorted({*then, *now}):
+        was, is_now = then.get(name), now.get(name)
+        if was != is_now:
+            raise BadInput(f"{path}: is of other work, {name} was {_short(was)} and is {_short(is_now)} now; {remedy}")
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:12]}…"
