@@ -9,7 +9,7 @@ BENCH_VENV := .venv-bench
 KERAS_VENV := .venv-bench-keras
 SPEED  ?= lockstep
 
-.PHONY: help setup demo test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training pins clean
+.PHONY: help setup demo deploy test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -22,6 +22,9 @@ $(STAMP): pyproject.toml deploy/constraints.txt deploy/make-venv.sh
 
 demo: setup  ## grow a virtual bean round an obstacle with all services; result in out/ (SPEED=lockstep|realtime|N, SEED=1)
 	@$(BIN)/flora-twin demo --out out --seed $(SEED) --speed $(SPEED)
+
+deploy: setup  ## bring a signed controller to a rig (CONTROLLER=file RIG=name, HOST=user@host, CONFIG=flora.toml, SHADOW=ticks)
+	@CONTROLLER='$(CONTROLLER)' RIG='$(RIG)' HOST='$(HOST)' CONFIG='$(CONFIG)' SHADOW='$(SHADOW)' deploy/publish-controller.sh $(BIN)
 
 test: setup  ## run the tests
 	@$(BIN)/python -m pytest

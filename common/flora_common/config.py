@@ -7,12 +7,12 @@ everything and harm nothing.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
 
 from flora_common.bus import BusAddress
-from flora_common.errors import ConfigError
+from flora_common.errors import BadInput, ConfigError
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
@@ -60,6 +60,10 @@ class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def bus(self) -> BusAddress:
         return BusAddress(self.bus_publish, self.bus_subscribe)
 
+    def named(self, name: str) -> RigSection:
+        """Another rig on the same bus."""
+        return msgspec.structs.replace(self, name=name)
+
 
 S = TypeVar("S", bound=msgspec.Struct)
 
@@ -75,19 +79,58 @@ def load_config(path: Path | None, section: str, into: type[S]) -> tuple[RigSect
     Raises:
         ConfigError: file missing, not TOML, unknown section or key, wrong type, out of range.
     """
+    path, tables = _tables(path)
+    rig = _rig(path, tables)
+    return rig, convert(tables.get(section, {}), into, where=f"{path} [{section}]", error=ConfigError)
+
+
+def load_rig(path: Path | None) -> RigSection:
+    """``[rig]`` alone, for commands that have no section of their own; otherwise as :func:`load_config`."""
+    return _rig(*_tables(path))
+
+
+def at_bus(rig: RigSection, *, publish: str | None, subscribe: str | None) -> RigSection:
+    """The same rig with its bus elsewhere, as the options ``--publish`` and ``--subscribe`` say; None changes nothing.
+
+    Raises:
+        ConfigError: not an endpoint.
+    """
+    for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
+        if value is not None:
+            convert({key: value}, RigSection, where=flag, error=ConfigError)
+            rig = msgspec.structs.replace(rig, **{key: value})
+    return rig
+
+
+def checked_rig_name(name: str) -> str:
+    """The value of an option ``--rig``.
+
+    Raises:
+        BadInput: no rig can be called so.
+    """
+    try:
+        convert({"name": name}, RigSection, where="--rig", error=ConfigError)
+    except ConfigError as problem:
+        raise BadInput(f"--rig {name!r}: a rig's name is small letters, digits, - and _, 32 at most") from problem
+    return name
+
+
+def _tables(path: Path | None) -> tuple[Path, dict[str, Any]]:
     if path is None:
-        if not DEFAULT_CONFIG.exists():
-            return RigSection(), into()
         path = DEFAULT_CONFIG
+        if not path.exists():
+            return path, {}
     tables = read_toml(path, ConfigError)
     for name, table in tables.items():
         if name not in SECTIONS:
             raise ConfigError(f"{path}: unknown section [{name}]{did_you_mean(name, SECTIONS)}")
         if not isinstance(table, dict):
             raise ConfigError(f"{path}: `{name}` must be a section, [{name}]")
-    rig = convert(tables.get("rig", {}), RigSection, where=f"{path} [rig]", error=ConfigError)
-    own = convert(tables.get(section, {}), into, where=f"{path} [{section}]", error=ConfigError)
-    return rig, own
+    return path, tables
+
+
+def _rig(path: Path, tables: dict[str, Any]) -> RigSection:
+    return convert(tables.get("rig", {}), RigSection, where=f"{path} [rig]", error=ConfigError)
 
 
 def config_text(rig: RigSection, section: str, own: msgspec.Struct) -> str:

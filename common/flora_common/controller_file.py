@@ -9,12 +9,17 @@ One JSON object, at most 1 MB::
      "task": {"name": "left", "target": {"x_cm": -5.12, "y_cm": 17.9, "radius_cm": 2.0},
               "obstacles": [{"x_cm": -6.3, "y_cm": 12.5, "width_cm": 7.0, "height_cm": 3.0}]},
      "provenance": {"simulator_sha256": "…", "seed": 1},
-     "signature": null}
+     "serial": 1795344000, "expires": "2027-01-01T00:00:00Z",
+     "signature": {"algorithm": "ed25519", "key": "…", "value": "…"}}
 
 The network is fed ``(x - offset) / scale`` for each entry of ``inputs``, in that order. The names are those of
 :data:`INPUT_NAMES`: ten points, target, and the obstacle as its four edges (left, bottom, right, top), all in cm; a
 controller may leave out those that it does not use. Its single output C means left where C <= 0.5, otherwise right
 (Wahby et al. 2018, section "Evolutionary approach").
+
+``serial`` orders the files of one key: a rig that has accepted one takes no other whose serial is not higher. From
+``expires`` on a rig accepts the file no more. Both may be left out (0, never), and so may ``signature``
+(:mod:`flora_common.signing`).
 
 Never a pickle: loading one runs whatever is in it. Unknown keys, keys given twice, numbers that are not finite,
 functions that neat-python does not define and networks with cycles are refused, each with one line.
@@ -22,12 +27,11 @@ functions that neat-python does not define and networks with cycles are refused,
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -35,6 +39,7 @@ import msgspec
 
 from flora_common.errors import BadController
 from flora_common.files import sha256_of_bytes
+from flora_common.json_strict import canonical_bytes, read_table
 from flora_common.network import Network
 from flora_common.network_export import NetworkExport, Number, Strict, network_from
 from flora_common.runs import ObstacleSection, TargetSection
@@ -55,6 +60,9 @@ INPUT_NAMES: Final = POINT_NAMES + TARGET_NAMES + OBSTACLE_NAMES
 """The 26 inputs of the paper, in its order."""
 
 Text = Annotated[str, msgspec.Meta(max_length=1000)]
+Serial = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+"""Up to where every program that reads JSON counts exactly."""
+UtcTime = Annotated[datetime, msgspec.Meta(tz=True)]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 
 
@@ -67,7 +75,7 @@ class InputScale(Strict, frozen=True):
 
 
 class Task(Strict, frozen=True):
-    """What the controller was evolved for; a rig may be set to something else, and says so."""
+    """What the controller was evolved for; a rig that is set to something else refuses it, or is told not to."""
 
     name: Label
     target: TargetSection | None = None
@@ -75,7 +83,12 @@ class Task(Strict, frozen=True):
 
 
 class Signature(Strict, frozen=True):
-    """Ed25519 over :func:`bytes_to_sign`; kept, not yet checked."""
+    """Ed25519 over :func:`bytes_to_sign`, checked by :func:`flora_common.signing.signer_of`.
+
+    Attributes:
+        key: the short name of the public key.
+        value: 64 bytes in base64.
+    """
 
     algorithm: Literal["ed25519"]
     key: Annotated[str, msgspec.Meta(max_length=200)]
@@ -93,6 +106,8 @@ class ControllerFile(Strict, frozen=True):
     output_rule: Literal["at most 0.5 is left"]
     task: Task
     provenance: dict[Text, Text | int | float | bool] = msgspec.field(default_factory=dict)
+    serial: Serial = 0
+    expires: UtcTime | None = None
     signature: Signature | None = None
 
 
@@ -165,7 +180,7 @@ def parse_controller(data: bytes, *, where: str) -> LoadedController:
         raise BadController(f"{where}: {len(data)} bytes; a controller file has at most {MAX_BYTES}")
     if not data.strip():
         raise BadController(f"{where}: is empty")
-    table = _parse_json(data, where)
+    table = read_table(data, where=where, what="a controller file", error=BadController)
     if table.get("format") != "flora-controller":
         found = str(table.get("format"))[:40] if "format" in table else "missing"
         raise BadController(f"{where}: not a controller file (`format` is {found}, expected flora-controller)")
@@ -179,16 +194,14 @@ def parse_controller(data: bytes, *, where: str) -> LoadedController:
         raise BadController(f"{where}: network is `{str(kind)[:40]}`; only a feedforward one can be evaluated")
     file = convert(table, ControllerFile, where=where, error=BadController)
     _check_inputs(file, where)
+    if file.expires is not None and file.expires.utcoffset() != timedelta(0):
+        raise BadController(f"{where}: `expires` is not in UTC; write it as 2027-01-01T00:00:00Z")
     return LoadedController(file, network_from(file.network, where), sha256_of_bytes(data), data)
 
 
 def bytes_to_sign(table: Mapping[str, Any]) -> bytes:
-    """The bytes that a signature covers: the file's table without ``signature``, keys in order, no white space.
-
-    Numbers are written the shortest way that reads back the same (Python's ``repr``).
-    """
-    rest = {key: value for key, value in table.items() if key != "signature"}
-    return json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+    """The bytes that a signature covers: the one text of the file's table without ``signature``."""
+    return canonical_bytes({key: value for key, value in table.items() if key != "signature"})
 
 
 def _read(path: Path) -> bytes:
@@ -209,44 +222,6 @@ def _read(path: Path) -> bytes:
         raise BadController(f"{path}: cannot be read ({problem.strerror})") from problem
     except ValueError as problem:
         raise BadController(f"{path}: not a path ({problem})") from problem
-
-
-def _parse_json(data: bytes, where: str) -> dict[str, Any]:
-    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        table: dict[str, Any] = {}
-        for key, value in items:
-            if key in table:
-                raise BadController(f"{where}: key `{key[:40]}` is given twice")
-            table[key] = value
-        return table
-
-    def number(text: str) -> float:
-        value = float(text)
-        if not math.isfinite(value):
-            raise BadController(f"{where}: {text[:20]} is not a finite number")
-        return value
-
-    def whole(text: str) -> int:
-        if len(text) > 19:
-            raise BadController(f"{where}: {text[:20]}… is larger than any number that belongs here")
-        return int(text)
-
-    try:
-        table = json.loads(
-            data.decode(), object_pairs_hook=pairs, parse_float=number, parse_int=whole, parse_constant=number
-        )
-        json.dumps(table, ensure_ascii=False).encode()  # escapes can spell half a character
-    except UnicodeDecodeError as problem:
-        raise BadController(f"{where}: not UTF-8 text (byte {problem.start})") from problem
-    except UnicodeEncodeError as problem:
-        raise BadController(f"{where}: a text holds half a character (a lone surrogate)") from problem
-    except RecursionError as problem:
-        raise BadController(f"{where}: not valid JSON: nested too deeply") from problem
-    except ValueError as problem:
-        raise BadController(f"{where}: not valid JSON: {problem}") from problem
-    if not isinstance(table, dict):
-        raise BadController(f"{where}: not a controller file (no JSON object)")
-    return table
 
 
 def _check_inputs(file: ControllerFile, where: str) -> None:

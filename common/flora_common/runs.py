@@ -188,6 +188,12 @@ def track_line(time_s: float, light: Light, points_cm: Points) -> str:
     return f"{time_s:.3f},{light}," + ",".join(f"{x:.4f},{y:.4f}" for x, y in points_cm)
 
 
+def track_text(time_s: Iterable[float], light: Iterable[Light], points_cm: Iterable[Points]) -> str:
+    """A whole ``track.csv`` without further columns."""
+    rows = zip(time_s, light, points_cm, strict=True)
+    return "\n".join([TRACK_HEADER, *(track_line(float(time), lamp, points) for time, lamp, points in rows)]) + "\n"
+
+
 def run_file_text(run: RunFile) -> str:
     """``run.toml`` as text; reading it back gives an equal :class:`RunFile`."""
     return to_toml(run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import tomllib
 import types
@@ -83,16 +84,22 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str, error: type[BadInput]) -> None:
-    fields = {field.encode_name: field.type for field in msgspec.structs.fields(into)}
+    structs = _structs_of(into)
     for key, value in data.items():
-        if key not in fields:
-            raise error(f"{where}: unknown key `{key}`{did_you_mean(key, fields)}")
-        inner = _struct_in(fields[key])
+        if key not in structs:
+            raise error(f"{where}: unknown key `{key}`{did_you_mean(key, structs)}")
+        inner = structs[key]
         if inner is None:
             continue
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, dict):
                 _refuse_unknown(item, inner, f"{where} [{key}]", error)
+
+
+@functools.cache
+def _structs_of(into: type[msgspec.Struct]) -> dict[str, type[msgspec.Struct] | None]:
+    """Keys of a struct, and the struct type inside each; asked for every table of a long list."""
+    return {field.encode_name: _struct_in(field.type) for field in msgspec.structs.fields(into)}
 
 
 def _struct_in(kind: Any) -> type[msgspec.Struct] | None:

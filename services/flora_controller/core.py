@@ -2,6 +2,9 @@
 
 The same tick asked twice gives the same answer and counts once. Without a usable stem the last light is held for some
 ticks, then the lamps alternate by time; a command given that way always says so.
+
+A controller that has another one behind it must answer every stem and must not flicker. One that fails is given up, and
+the one behind it decides in the same tick. One in shadow is asked the same, and lights nothing.
 """
 
 from __future__ import annotations
@@ -13,9 +16,13 @@ import numpy as np
 
 from flora_common.geometry import FloatArray, clearance_cm, fitness
 from flora_common.messages import ControllerState, LightCommand, Stem
+from flora_common.messages.catalogue import MOST_SHADOW_TICKS
 from flora_common.runs import Light
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_controller.acceptance import TaskRule, Trust
+from flora_controller.lineup import Failure, Lineup, identity_of
 from flora_controller.record import Record
+from flora_controller.shadow import MOST_SWITCHES_PER_H, Shadow, Watch, failure
 from flora_controller.steering import (
     Decision,
     OpenLoopSection,
@@ -27,6 +34,8 @@ from flora_controller.steering import (
 )
 
 LONGEST_REASON: Final = 500
+FARTHEST_CM: Final = 500.0
+"""From the anchor along an axis: as far as the bus lets any length be. Farther points are not judged either."""
 
 BuiltIn = Literal["open-loop", "tip-follower", "waypoint", "dark"]
 
@@ -37,6 +46,11 @@ class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     use: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "open-loop"
     blind_hold_ticks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 12
     stop_height_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 21.0
+    trust: Trust = "if-signed"
+    keys_dir: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "/etc/flora/keys"
+    task: TaskRule = "same"
+    shadow_ticks: Annotated[int, msgspec.Meta(ge=0, le=MOST_SHADOW_TICKS)] = 0
+    most_switches_per_h: Annotated[int, msgspec.Meta(ge=1, le=1000)] = MOST_SWITCHES_PER_H
     open_loop: OpenLoopSection = OpenLoopSection()
     tip_follower: TipFollowerSection = TipFollowerSection()
     waypoint: WaypointSection = WaypointSection()
@@ -46,15 +60,18 @@ class ControllerCore:
     """Asks a rule, keeps count, and judges the plant.
 
     Args:
-        steering: the rule.
+        lineup: the rule, what is behind it, what is in its shadow.
         section: blind policy and stop rule.
         target, obstacle: the task, where there is one.
         record: where the last start was left.
+
+    Attributes:
+        failures: who failed in the last tick that was answered, the first one first.
     """
 
     def __init__(
         self,
-        steering: Steering,
+        lineup: Lineup,
         section: ControllerSection,
         *,
         target: Target | None,
@@ -65,17 +82,38 @@ class ControllerCore:
         self._target = target
         self._obstacle = obstacle
         self.record = record
-        self.steering = steering
-        self.use(steering)
+        self.failures: list[Failure] = []
+        self.use(lineup)
 
-    def use(self, steering: Steering) -> None:
-        """Steer by this rule from now on. What the plant did so far stays; what the other rule did is dropped."""
-        self.steering = steering
-        identity = f"{steering.name} {steering.sha256}".strip()
+    @property
+    def steering(self) -> Steering:
+        """The rule whose decisions shine."""
+        return self._lineup.steering
+
+    @property
+    def shadow_ticks(self) -> int:
+        """How many ticks the one in shadow has answered."""
+        return 0 if self.record.shadow is None else self.record.shadow.ticks
+
+    def use(self, lineup: Lineup) -> None:
+        """Steer by these from now on. What the plant did so far stays; what the other rule did is dropped."""
+        self._lineup = lineup
+        identity, shadow, trial = identity_of(lineup.steering), lineup.shadow, self.record.shadow
         if self.record.controller != identity:
             self.record = msgspec.structs.replace(
-                self.record, controller=identity, memory={}, decisions=0, switches=0, best_fitness=None
+                self.record,
+                controller=identity,
+                memory={},
+                watch=Watch(),
+                decisions=0,
+                switches=0,
+                best_fitness=None,
             )
+        if shadow is None:
+            trial = None
+        elif trial is None or trial.sha256 != shadow.sha256:
+            trial = Shadow(shadow.sha256)
+        self.record = msgspec.structs.replace(self.record, shadow=trial)
 
     def on_stem(self, stem: Stem, *, note: str = "") -> tuple[LightCommand, ControllerState] | None:
         """Answer a stem.
@@ -87,6 +125,7 @@ class ControllerCore:
         Returns:
             Command and state; for a tick that was answered before, the very same again; None for an older one.
         """
+        self.failures = []
         last = self.record
         if stem.tick < last.tick or stem.tick == 0:
             return None
@@ -96,6 +135,7 @@ class ControllerCore:
         self._judge(stem, points)
         decision, blind = self._decide(stem, points)
         light = decision.light or "dark"
+        shadowed = self._ask_shadow(stem, points, light)
         command = LightCommand(
             tick=stem.tick,
             light=light,
@@ -111,24 +151,53 @@ class ControllerCore:
             switches=self.record.switches + (last.light is not None and last.light != light),
             command=command,
         )
-        said = self._state(record, stem, points, note)
+        said = self._state(record, stem, points, note, shadowed)
         self.record = msgspec.structs.replace(record, said=said)
         return command, said
 
     def _decide(self, stem: Stem, points: FloatArray | None) -> tuple[Decision, bool]:
+        decision = self._ask(stem, points)
+        while points is not None and self._lineup.before:
+            watch = self.record.watch.after(decision, stem.time_s)
+            why = failure(decision, watch, self._section.most_switches_per_h)
+            if not why:
+                self.record = msgspec.structs.replace(self.record, watch=watch)
+                break
+            self._return(why)
+            decision = self._ask(stem, points)
         record = self.record
-        if points is not None or not self.steering.needs_stem:
-            view = View(stem.time_s, points, record.light)
-            decision = self.steering.decide(view, record.memory)
-        else:
-            said = f"{stem.outcome}: {stem.reason}" if stem.reason else stem.outcome
-            decision = Decision(None, reason=said)
         blind_ticks = record.blind_ticks + 1 if points is None or decision.light is None else 0
         self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks)
         if decision.light is None:
             return self._blindly(stem.time_s, decision.reason, record.light, blind_ticks), True
         self.record = msgspec.structs.replace(self.record, memory=dict(decision.memory), decisions=record.decisions + 1)
         return decision, False
+
+    def _ask(self, stem: Stem, points: FloatArray | None) -> Decision:
+        if points is None and self.steering.needs_stem:
+            return Decision(None, reason=f"{stem.outcome}: {stem.reason}" if stem.reason else stem.outcome)
+        return self.steering.decide(View(stem.time_s, points, self.record.light), self.record.memory)
+
+    def _return(self, why: str) -> None:
+        """Give up the one that steers for the one behind it."""
+        lineup = self._lineup
+        self.failures.append(Failure(lineup.steering.name, lineup.steering.sha256, why, in_shadow=False))
+        self.use(Lineup(lineup.before[0], lineup.before[1:], lineup.shadow, lineup.shadow_ticks))
+
+    def _ask_shadow(self, stem: Stem, points: FloatArray | None, shone: Light) -> Decision | None:
+        """What the one in shadow would have lit; None where it was not asked, or has failed."""
+        lineup, trial = self._lineup, self.record.shadow
+        if lineup.shadow is None or trial is None or points is None:
+            return None
+        decision = lineup.shadow.decide(View(stem.time_s, points, self.record.light), {})
+        trial = trial.after(decision, stem.time_s, shone)
+        why = failure(decision, trial.watch, self._section.most_switches_per_h)
+        if why:
+            self.failures.append(Failure(lineup.shadow.name, trial.sha256, why, in_shadow=True))
+            self.use(Lineup(lineup.steering, lineup.before))
+            return None
+        self.record = msgspec.structs.replace(self.record, shadow=trial)
+        return decision
 
     def _blindly(self, time_s: float, why: str, light: Light | None, blind_ticks: int) -> Decision:
         since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_REASON - 80]
@@ -163,8 +232,11 @@ class ControllerCore:
             over = over or f"run over: the tip reached {reached_cm:g} cm at {stem.time_s / 3600:.1f} h"
         self.record = msgspec.structs.replace(record, run_over=over)
 
-    def _state(self, record: Record, stem: Stem, points: FloatArray | None, note: str) -> ControllerState:
+    def _state(
+        self, record: Record, stem: Stem, points: FloatArray | None, note: str, shadowed: Decision | None
+    ) -> ControllerState:
         tip = None if points is None else (float(points[-1, 0]), float(points[-1, 1]))
+        shadow, trial = self._lineup.shadow, record.shadow
         return ControllerState(
             tick=stem.tick,
             controller=self.steering.name[:LONGEST_REASON],
@@ -181,13 +253,23 @@ class ControllerCore:
             decisions=record.decisions,
             switches=record.switches,
             run_over=bool(record.run_over),
-            reason="; ".join(part for part in (note, record.run_over) if part)[:LONGEST_REASON],
+            reason="; ".join(part for part in (*map(str, self.failures), note, record.run_over) if part)[
+                :LONGEST_REASON
+            ],
+            shadow="" if shadow is None else shadow.name[:LONGEST_REASON],
+            shadow_sha256="" if shadow is None else shadow.sha256,
+            shadow_output=None if trial is None or shadowed is None else trial.output,
+            shadow_light=None if shadowed is None else shadowed.light,
+            shadow_ticks=0 if trial is None else trial.ticks,
+            shadow_ticks_left=0 if trial is None else max(0, self._lineup.shadow_ticks - trial.ticks),
+            shadow_agree=None if trial is None else trial.agree,
         )
 
 
 def usable_points(stem: Stem) -> FloatArray | None:
-    """Ten finite points of a stem that was found; None for every other outcome."""
+    """Ten points of a stem that was found, in a sensible place; None for every other outcome."""
     if stem.outcome != "ok" or len(stem.points_cm) != STEM_POINTS:
         return None
     points = np.array(stem.points_cm, dtype=np.float64)
-    return points if np.isfinite(points).all() else None
+    # written so that NaN fails it too
+    return points if (np.abs(points) <= FARTHEST_CM).all() else None

@@ -13,11 +13,7 @@ from flora_controller.steering import Decision, Memory, View
 
 @dataclass(frozen=True, slots=True)
 class Evolved:
-    """Asks a network. No decision where anything in it is not a finite number.
-
-    Raises:
-        BadController: by :meth:`check`, where the network wants a target or an obstacle that the run does not have.
-    """
+    """Asks a network. No decision where anything in it is not a finite number."""
 
     loaded: LoadedController
     target: Target | None
@@ -28,10 +24,6 @@ class Evolved:
     @property
     def sha256(self) -> str:
         return self.loaded.sha256
-
-    def check(self) -> None:
-        """Whether the network can be fed in this run at all."""
-        self.loaded.check_task(self.target, self.obstacle)
 
     def decide(self, view: View, memory: Memory) -> Decision:
         if view.points_cm is None:

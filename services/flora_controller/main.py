@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -11,17 +11,23 @@ from typing import Final
 import msgspec
 
 from flora_common.app import App
-from flora_common.cli import run_cli
-from flora_common.controller_file import SUFFIX, load_controller
+from flora_common.controller_file import SUFFIX
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import sha256_of_bytes
-from flora_common.messages import Setup, Stem
+from flora_common.messages import ControllerAnswer, ControllerChunk, ControllerOffer, Setup, Stem
 from flora_common.runs import RunFile, RunFolder
 from flora_common.service import run_service
 from flora_common.shapes import Obstacle, Target
+from flora_controller.acceptance import Acceptance
+from flora_controller.acceptance_setup import open_acceptance
+from flora_controller.check import check_file
 from flora_controller.core import ControllerCore, ControllerSection
+from flora_controller.offer_command import offer_file
 from flora_controller.record import RECORD_FILE, read_record, write_record
+from flora_controller.shelf import FOLDER as SHELF_FOLDER
+from flora_controller.shelf import Shelf
 from flora_controller.source import FileSource, FixedSource, built_in, kept_file
+from flora_controller.succession import Succession
 
 LOOK_EVERY_S: Final = 5.0
 LEAST_TARGET_CM: Final = 1.0
@@ -31,24 +37,46 @@ LEAST_TARGET_CM: Final = 1.0
 def build(app: App[ControllerSection]) -> None:
     run_file = app.run.read_run_file() if app.run.path.is_dir() else None
     target, obstacle = task_of(run_file, app.run)
-    source = open_source(app.config, app.state_dir, target, obstacle)
+    acceptance = open_acceptance(app, target, obstacle)
+    source = open_source(app.config, app.state_dir, acceptance)
     record_file = app.state_dir / RECORD_FILE
     record, dropped = read_record(record_file, run=run_identity(app.run, run_file))
     if dropped:
         app.log.event("record_dropped", reason=dropped)
-    core = ControllerCore(source.steering, app.config, target=target, obstacle=obstacle, record=record)
+    succession = Succession(
+        source,
+        Shelf(app.state_dir / SHELF_FOLDER),
+        acceptance,
+        shadow_ticks=app.config.shadow_ticks,
+        say=lambda answer: told(app, answer),
+    )
+    core = ControllerCore(succession.lineup, app.config, target=target, obstacle=obstacle, record=record)
     app.log.event("steering", controller=core.steering.name, sha256=core.steering.sha256[:12], after_tick=record.tick)
-    app.trouble("file", source.refusal)
+
+    def tell_troubles() -> None:
+        app.trouble("file", source.refusal)
+        app.trouble("shelf", succession.trouble)
+        app.trouble("returned", succession.note)
+
+    def follow() -> None:
+        core.use(succession.lineup)
+        app.log.event("controller_replaced", controller=core.steering.name, sha256=core.steering.sha256[:12])
+
+    if succession.after_tick(core.shadow_ticks):
+        follow()  # the last start ended between the last tick of a shadow and what follows from it
+    tell_troubles()
 
     def on_stem(stem: Stem) -> None:
-        if source.poll():
-            core.use(source.steering)
-            app.log.event("controller_replaced", controller=core.steering.name, sha256=core.steering.sha256[:12])
-        answer = core.on_stem(stem, note=source.refusal)
+        if succession.poll():
+            follow()
+        answer = core.on_stem(stem, note="; ".join(part for part in (source.refusal, succession.note) if part))
         if answer is None:
             app.log.debug("stem_of_an_earlier_tick", tick=stem.tick, last=core.record.tick)
             return
         command, said = answer
+        # On the shelf first: after a kill the one that failed must not steer again.
+        if succession.after_tick(core.shadow_ticks, core.failures):
+            follow()
         try:
             # Before it is said: after a kill the same tick must be answered with the same words.
             write_record(record_file, core.record)
@@ -57,11 +85,22 @@ def build(app: App[ControllerSection]) -> None:
             app.trouble("record", f"the state cannot be kept: {problem}")
         app.publish(command)
         app.publish(said)
-        app.trouble("file", source.refusal)
+        tell_troubles()
         app.trouble("blind", command.reason if command.blind else "")
         app.trouble("silence", "")
 
+    def on_offer(offer: ControllerOffer) -> None:
+        if succession.on_offer(offer, time.monotonic()):
+            follow()
+        tell_troubles()
+
+    def on_chunk(chunk: ControllerChunk) -> None:
+        if succession.on_chunk(chunk, time.monotonic()):
+            follow()
+        tell_troubles()
+
     def look() -> None:
+        succession.on_time(time.monotonic())
         setup = app.inbox.last(Setup)
         rests = setup is not None and setup.active
         if app.inbox.last(Stem) is not None and not rests and not app.inbox.fresh(Stem):
@@ -70,7 +109,16 @@ def build(app: App[ControllerSection]) -> None:
 
     app.on(Stem, on_stem)
     app.on(Setup, lambda _: None)
+    app.on(ControllerOffer, on_offer)
+    app.on(ControllerChunk, on_chunk)
     app.every(LOOK_EVERY_S, look)
+
+
+def told(app: App[ControllerSection], answer: ControllerAnswer) -> None:
+    """Say what has become of an offer, on the bus and in the log."""
+    app.publish(answer)
+    if answer.stage != "received":
+        app.log.event("offer", stage=answer.stage, sha256=answer.sha256[:12], reason=answer.reason)
 
 
 def task_of(run_file: RunFile | None, run: RunFolder) -> tuple[Target | None, Obstacle | None]:
@@ -95,46 +143,30 @@ def run_identity(run: RunFolder, run_file: RunFile | None) -> str:
     return sha256_of_bytes(msgspec.json.encode(parts))[:16]
 
 
-def open_source(
-    section: ControllerSection, state_dir: Path, target: Target | None, obstacle: Obstacle | None
-) -> FileSource | FixedSource:
+def open_source(section: ControllerSection, state_dir: Path, acceptance: Acceptance) -> FileSource | FixedSource:
     """The rule's source that the configuration names.
 
     Raises:
-        BadInput: no such built-in rule, a file that cannot steer, or a task that lacks what it needs.
+        BadInput: no such built-in rule, a file that must not steer, or a task that lacks what it needs.
+        StoreError: that a file is accepted cannot be written down.
     """
     if not section.use.endswith(SUFFIX):
-        return FixedSource(built_in(section, target, obstacle))
+        return FixedSource(built_in(section, acceptance.policy.target, acceptance.policy.obstacle))
     path = Path(section.use)
-    return FileSource(path, kept_file(state_dir, path), target=target, obstacle=obstacle)
-
-
-def check_file(argv: Sequence[str]) -> int:
-    """``flora-controller check FILE``: whether a controller file could steer, and what it is."""
-    parser = argparse.ArgumentParser("flora-controller check", description="Check a controller file and end.")
-    parser.add_argument("file", type=Path, metavar="FILE", help=f"a controller file, *{SUFFIX}")
-    options = parser.parse_args(argv)
-
-    def work() -> None:
-        loaded = load_controller(options.file)
-        network, file = loaded.network, loaded.file
-        links = sum(len(node.links) for node in network.nodes)
-        print(
-            f"{options.file}: good; `{file.name}`, task `{file.task.name}`, {len(network.inputs)} inputs, "
-            f"{len(network.nodes)} nodes, {links} links, sha256 {loaded.sha256[:12]}"
-        )
-
-    return run_cli("flora-controller", work)
+    return FileSource(path, kept_file(state_dir, path), acceptance)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["check"]:
         return check_file(arguments[1:])
+    if arguments[:1] == ["offer"]:
+        return offer_file(arguments[1:])
     return run_service(
         "flora-controller",
         ControllerSection,
         build,
         argv=arguments,
-        description="Decides left or right from each stem. `flora-controller check FILE` checks a controller file.",
+        description="Decides left or right from each stem. `flora-controller check FILE` checks a controller file, "
+        "`flora-controller offer FILE` hands one to the flora-controller that runs.",
     )

@@ -10,6 +10,7 @@ import msgspec
 from flora_common.files import write_bytes
 from flora_common.messages import ControllerState, LightCommand
 from flora_common.runs import Light
+from flora_controller.shadow import Shadow, Watch
 
 RECORD_FILE: Final = "controller.json"
 VERSION: Final = 1
@@ -24,6 +25,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tick: the last tick that was answered.
         light: what was commanded last.
         memory: of the rule.
+        watch: what it decided lately.
+        shadow: how far the trial of another one has come; None while there is none.
         command, said: the answer to ``tick``, to be given again if it is asked again.
     """
 
@@ -33,6 +36,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tick: int = 0
     light: Light | None = None
     memory: dict[str, float] = msgspec.field(default_factory=dict)
+    watch: Watch = Watch()
+    shadow: Shadow | None = None
     blind_ticks: int = 0
     decisions: int = 0
     switches: int = 0

@@ -16,6 +16,7 @@ from flora_common.errors import BadController, ConfigError, StoreError
 from flora_common.files import sha256_of_bytes, write_bytes
 from flora_common.shapes import Obstacle, Target
 from flora_common.suggest import did_you_mean
+from flora_controller.acceptance import Acceptance
 from flora_controller.core import BuiltIn, ControllerSection
 from flora_controller.evolved import Evolved
 from flora_controller.steering import Dark, OpenLoop, Steering, TipFollower, Waypoint
@@ -73,27 +74,27 @@ class FileSource:
     Args:
         path: the file, or a link to it.
         kept: where the bytes that were accepted last are kept.
-        target, obstacle: the run's task.
+        acceptance: what a file must pass.
 
     Attributes:
         steering: the rule now in force.
         refusal: why what lies at ``path`` now is not in force; empty where it is.
 
     Raises:
-        BadController: it cannot steer, and none was accepted before.
+        BadController: it must not steer, and none was accepted before.
+        StoreError: that it is accepted cannot be written down, and none was accepted before.
     """
 
-    def __init__(self, path: Path, kept: Path, *, target: Target | None, obstacle: Obstacle | None) -> None:
+    def __init__(self, path: Path, kept: Path, acceptance: Acceptance) -> None:
         self._path = path
         self._kept = kept
-        self._target = target
-        self._obstacle = obstacle
+        self._acceptance = acceptance
         self.refusal = ""
         self._stamp = _stamp_of(path)
         try:
-            self.steering = self._checked(load_controller(path))
+            self.steering = self._accepted(load_controller(path))
             self._keep()
-        except BadController as problem:
+        except (BadController, StoreError) as problem:
             self.steering = self._accepted_before(problem)
             self.refusal = _refused(problem)
 
@@ -104,9 +105,11 @@ class FileSource:
             return False
         self._stamp = stamp
         try:
-            steering = self._checked(load_controller(self._path))
-        except BadController as problem:
+            steering = self._accepted(load_controller(self._path))
+        except (BadController, StoreError) as problem:
             self.refusal = _refused(problem)
+            if isinstance(problem, StoreError):
+                self._stamp = None  # the file is good: it is tried again until the disk takes it
             return False
         self.refusal = ""
         is_other = steering.sha256 != self.steering.sha256
@@ -115,10 +118,13 @@ class FileSource:
             self._keep()
         return is_other
 
-    def _checked(self, loaded: LoadedController) -> Evolved:
-        steering = Evolved(loaded, self._target, self._obstacle, self._path.name)
-        steering.check()
-        return steering
+    def _accepted(self, loaded: LoadedController) -> Evolved:
+        self._acceptance.take(loaded, self._acceptance.check(loaded, offered=False))
+        return self._evolved(loaded)
+
+    def _evolved(self, loaded: LoadedController) -> Evolved:
+        policy = self._acceptance.policy
+        return Evolved(loaded, policy.target, policy.obstacle, self._path.name)
 
     def _keep(self) -> None:
         try:
@@ -127,15 +133,13 @@ class FileSource:
         except (OSError, StoreError) as problem:
             self.refusal = f"in force, but a copy cannot be kept: {problem}"
 
-    def _accepted_before(self, problem: BadController) -> Evolved:
+    def _accepted_before(self, problem: BadController | StoreError) -> Evolved:
         try:
-            data = self._kept.read_bytes()
-        except OSError:
+            loaded = parse_controller(self._kept.read_bytes(), where=str(self._kept))
+            self._acceptance.check_kept(loaded, offered=False)
+        except (OSError, BadController):
             raise problem from None
-        try:
-            return self._checked(parse_controller(data, where=str(self._kept)))
-        except BadController:
-            raise problem from None
+        return self._evolved(loaded)
 
 
 def _stamp_of(path: Path) -> _Stamp | None:
@@ -147,5 +151,5 @@ def _stamp_of(path: Path) -> _Stamp | None:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
-def _refused(problem: BadController) -> str:
+def _refused(problem: BadController | StoreError) -> str:
     return f"refused, the one before goes on: {problem}"

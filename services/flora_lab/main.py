@@ -10,13 +10,16 @@ import typer
 
 from flora_common.cli import print_version, run_typer
 from flora_lab.dataset import command as dataset
+from flora_lab.evaluate import command as evaluate
+from flora_lab.publish import command as publish
+from flora_lab.publish import signing_command as signing
 from flora_lab.report import command as report
 from flora_lab.rollout import command as rollout
 from flora_lab.track import command as track
 from flora_lab.train import command as train
 
 PROGRAM: Final = "flora-lab"
-SUBCOMMANDS: Final = (track, report, dataset, rollout, train)
+SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evaluate, signing, publish)
 
 
 def build_app() -> typer.Typer:

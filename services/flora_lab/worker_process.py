@@ -110,6 +110,16 @@ def start_workers(workers: list[Worker], count: int, prepare: Callable[[], None]
             workers.append(Worker(prepare))
 
 
+def outcome(work: Callable[[Any], Any], task: Any) -> tuple[bool, Any]:
+    """Whether the work was done, and its result or the exception, for the process that waits for it to raise again."""
+    try:
+        return True, work(task)
+    except Exception as problem:  # noqa: BLE001 - raised again in the process that waits for the result
+        if not isinstance(problem, FloraError):
+            problem.add_note("In a worker process:\n" + "".join(traceback.format_exception(problem)))
+        return False, problem
+
+
 def _serve(pipe: connection.Connection, prepare: Callable[[], None]) -> None:
     """What a worker does: a tuple is a task, anything else the work to do from now on."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -123,13 +133,7 @@ def _serve(pipe: connection.Connection, prepare: Callable[[], None]) -> None:
                 work = message
                 continue
             assert work is not None
-            try:
-                answer = (True, work(message[0]))
-            except Exception as problem:  # noqa: BLE001 - raised again in the process that waits for the result
-                if not isinstance(problem, FloraError):
-                    problem.add_note("In a worker process:\n" + "".join(traceback.format_exception(problem)))
-                answer = (False, problem)
-            pipe.send(answer)
+            pipe.send(outcome(work, message[0]))
 
 
 @contextlib.contextmanager

@@ -11,11 +11,13 @@ from flora_common.clock import NS
 from flora_common.messages import CATALOGUE, Health
 
 EVERY_SERVICE: Final = "every service"
+COMES_AND_GOES: Final = "flora-lab"
+"""Says something now and then, from another machine; a rig is well without it."""
 
 
 def services_of_catalogue() -> tuple[str, ...]:
     """The bus, and every service that owns a topic."""
-    owners = [spec.owner for spec in CATALOGUE.values() if spec.owner != EVERY_SERVICE]
+    owners = [spec.owner for spec in CATALOGUE.values() if spec.owner not in (EVERY_SERVICE, COMES_AND_GOES)]
     return ("flora-bus", *dict.fromkeys(owners))
 
 

@@ -10,11 +10,9 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
-from flora_common.config import RigSection, load_config
-from flora_common.errors import BadInput, BadMessage, BadRunFolder, ConfigError
-from flora_common.messages import split_topic
+from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
+from flora_common.errors import BadRunFolder
 from flora_common.runs import RunFolder
-from flora_common.toml_strict import convert
 from flora_monitor.health import services_of_catalogue
 from flora_monitor.listen import Listener
 from flora_monitor.stats import Board, checked_pattern
@@ -80,17 +78,7 @@ def common_options(
     config: Path | None, rig: str | None, publish: str | None, subscribe: str | None, *, as_json: bool
 ) -> Common:
     found, section = load_config(config, "monitor", MonitorSection)
-    for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
-        if value is not None:
-            convert({key: value}, RigSection, where=flag, error=ConfigError)
-            found = msgspec.structs.replace(found, **{key: value})
+    found = at_bus(found, publish=publish, subscribe=subscribe)
     if rig is not None:
-        _refuse_bad_rig(rig)
+        checked_rig_name(rig)
     return Common(found, section, rig, as_json or not sys.stdout.isatty())
-
-
-def _refuse_bad_rig(rig: str) -> None:
-    try:
-        split_topic(f"{rig}/tick".encode())
-    except BadMessage as problem:
-        raise BadInput(f"--rig {rig!r}: a rig's name is small letters, digits, - and _, 32 at most") from problem

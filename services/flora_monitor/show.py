@@ -20,6 +20,8 @@ from flora_monitor.stats import Row, Topic, topic_text
 
 COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta")
 ENVELOPE: Final = frozenset(field.name for field in msgspec.structs.fields(Message))
+LONGEST_TEXT: Final = 500
+"""A longer text is no sentence, but a piece of a file."""
 STATE_STYLE: Final = {"ready": "green", "starting": "yellow", "degraded": "red", "fault": "bold red"}
 
 
@@ -55,6 +57,8 @@ def _value_text(name: str, value: Any) -> str:
         return "(" + ", ".join(f"{v:.2f}" if isinstance(v, float) else str(v) for v in value) + ")"
     if isinstance(value, str) and name.endswith("sha256"):
         return value[:8]
+    if isinstance(value, str) and len(value) > LONGEST_TEXT:
+        return f"[{len(value)} characters]"
     if isinstance(value, str) and (" " in value or not value):
         return f'"{value}"'
     return str(value)

@@ -15,7 +15,7 @@ import typer
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.runs import LEVELS, LIGHTS, TRACK_HEADER, RunFolder, track_line
+from flora_common.runs import LEVELS, LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
 from flora_twin.grow import grow, parse_schedule
@@ -119,9 +119,7 @@ def grow_track(
 ) -> None:
     """Grow a plant without pictures and write its track."""
     track = grow(seed, schedule, hours)
-    rows = zip(track.time_s, track.light, track.points_cm, strict=True)
-    lines = [TRACK_HEADER, *(track_line(float(time_s), light, points) for time_s, light, points in rows)]
-    files.write_text(output, "\n".join(lines) + "\n")
+    files.write_text(output, track_text(track.time_s, track.light, track.points_cm))
 
 
 def grow_runs(

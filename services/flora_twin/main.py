@@ -10,11 +10,15 @@ import typer
 
 from flora_common.cli import print_version, run_typer
 from flora_twin import commands
-from flora_twin.rig import demo
+from flora_twin.rig import demo, experiment_command
 
 PROGRAM: Final = "flora-twin"
 
-REGISTER: Final[tuple[Callable[[typer.Typer], None], ...]] = (commands.register, demo.register)
+REGISTER: Final[tuple[Callable[[typer.Typer], None], ...]] = (
+    commands.register,
+    demo.register,
+    experiment_command.register,
+)
 """Each adds commands to the application."""
 
 
@@ -39,7 +43,9 @@ def build_app() -> typer.Typer:
         `flora-twin --seed 7` alone runs the demo with that plant.
         """
         if seed is not None:
-            context.default_map = {name: {"seed": seed} for name in ("demo", "serve", "picture", "grow", "runs")}
+            context.default_map = {
+                name: {"seed": seed} for name in ("demo", "experiment", "serve", "picture", "grow", "runs")
+            }
         if context.invoked_subcommand is None:
             demo.demo(seed=1 if seed is None else seed)
 

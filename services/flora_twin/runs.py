@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.runs import LEVELS, TRACK_HEADER, Light, RunFile, TargetSection, run_file_text, track_line
+from flora_common.runs import LEVELS, Light, RunFile, TargetSection, run_file_text, track_text
 from flora_common.tracks import Track
 from flora_twin.box import camera_section
 from flora_twin.grow import FRAME_S, parse_schedule, stem_points_cm
@@ -54,8 +54,7 @@ class VirtualRun:
 
     def track_text(self) -> str:
         """``track.csv``."""
-        rows = zip(self.track.time_s, self.track.light, self.track.points_cm, strict=True)
-        return "\n".join([TRACK_HEADER, *(track_line(float(t), light, points) for t, light, points in rows)]) + "\n"
+        return track_text(self.track.time_s, self.track.light, self.track.points_cm)
 
     def run_text(self) -> str:
         """``run.toml``."""

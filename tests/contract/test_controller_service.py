@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from flora_common.bus import Arrival, BusClient
 from flora_common.files import write_bytes
 from flora_common.messages import ControllerState, Health, LightCommand, Stem
 from flora_common.runs import CameraSection, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+from signing_keys import ADA, EXPORT, signed
 
 if TYPE_CHECKING:
     from conftest import PrivateBus
@@ -116,12 +118,43 @@ def test_a_new_controller_file_takes_over_and_a_bad_one_does_not(bus: PrivateBus
     assert (second.reason, second.decisions) == ("", 1)
 
 
+def test_a_rig_that_requires_signatures_takes_newer_ones_only_also_after_a_restart(
+    bus: PrivateBus, tmp_path: Path
+) -> None:
+    make_run(bus)
+    keys = tmp_path / "keys"
+    keys.mkdir()
+    (keys / "ada.pub").write_bytes(ADA.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    file = tmp_path / "steer.controller.json"
+    first, older = signed(serial=7), signed(EXPORT, serial=6)
+    write_bytes(file, first.data)
+    bus.sections["controller"] = {"use": str(file), "trust": "required", "keys_dir": str(keys)}
+    client = start(bus)
+    client.publish(stem(1, 3.0))
+    _, steered = answer(bus, client, 1)
+
+    write_bytes(file, older.data)
+    client.publish(stem(2, 3.0))
+    _, refused = answer(bus, client, 2)
+    bus.processes[-1].kill()
+    bus.processes[-1].wait()
+    bus.start_service("flora-controller")
+    client.publish(stem(3, 3.0))
+    _, restarted = answer(bus, client, 3)
+
+    assert {steered.sha256, refused.sha256, restarted.sha256} == {first.sha256}
+    assert "has serial 6, and one with serial 7 was accepted" in refused.reason
+    assert "has serial 6, and one with serial 7 was accepted" in restarted.reason
+
+
 @pytest.mark.parametrize(
     ("section", "run_file", "said"),
     [
         ({"use": "waypiont"}, RUN_FILE, "did you mean `waypoint`?"),
         ({"use": "waypoint"}, None, "give run.toml a section [target]"),
         ({"use": "open-loop", "blind_hold_tick": 1}, RUN_FILE, "did you mean `blind_hold_ticks`?"),
+        ({"trust": "required", "keys_dir": "/gone"}, RUN_FILE, "there is no key *.pub in keys_dir /gone"),
+        ({"trust": "require"}, RUN_FILE, "did you mean `required`?"),
         ({"use": "/gone.controller.json"}, RUN_FILE, "/gone.controller.json: cannot be read"),
         ({"use": str(GOLDEN / "bad" / "cycle.controller.json")}, RUN_FILE, "network is not feed-forward"),
     ],

@@ -13,6 +13,9 @@ import msgspec
 
 from flora_common.messages import (
     CATALOGUE,
+    ControllerAnswer,
+    ControllerChunk,
+    ControllerOffer,
     ControllerState,
     Flash,
     Frame,
@@ -31,6 +34,7 @@ from flora_common.messages import (
 )
 
 FOLDER = Path(__file__).parent / "messages" / "v1"
+OFFER = "0123456789abcdef"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 MESSAGES: tuple[Message, ...] = (
@@ -92,6 +96,11 @@ MESSAGES: tuple[Message, ...] = (
         stored=12,
     ),
     Recording(path="bus/20260301T080000Z-0001.mcap", messages=120, bytes=40_960, bad=1),
+    ControllerOffer(
+        offer=OFFER, name="left-17.controller.json", sha256=SHA256, bytes=40_000, chunks=3, shadow_ticks=12
+    ),
+    ControllerChunk(offer=OFFER, number=2, data="eyJmb3JtYXQiOiAiZmxvcmEtY29udHJvbGxlciJ9"),
+    ControllerAnswer(offer=OFFER, stage="received", sha256=SHA256, missing=(0, 2), steers="waypoint", reason="2 to go"),
     Health(
         state="degraded",
         reason="no frame for 11 min (expected every 5 min)",

@@ -96,7 +96,7 @@ def test_an_own_task_is_read_whole(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["left", "middle", "slalom"])
+@pytest.mark.parametrize("name", ["left", "middle", "reality", "slalom"])
 def test_what_is_written_is_read_back(tmp_path: Path, name: str) -> None:
     task = read_task(written(tmp_path, SLALOM)) if name == "slalom" else BUILT_IN[name]
 
@@ -120,8 +120,8 @@ def test_a_task_is_named_or_a_file(tmp_path: Path) -> None:
     plain.write_text(SLALOM)
     assert task_named(str(plain)).name == "slalom"
     for text, said in (
-        ("lefd", "--task lefd: neither a built-in task (left, middle) nor a file; did you mean `left`?"),
-        ("17", "--task 17: neither a built-in task (left, middle) nor a file"),
+        ("lefd", "--task lefd: neither a built-in task (left, middle, reality) nor a file; did you mean `left`?"),
+        ("17", "--task 17: neither a built-in task (left, middle, reality) nor a file"),
         ("none.toml", "none.toml: cannot be read (No such file or directory)"),
     ):
         with pytest.raises(BadInput) as told:

@@ -43,7 +43,7 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "messages" / "v1"
 
 SERVICES: dict[str, tuple[str, ...]] = {
     "flora-recorder": ("",),
-    "flora-controller": ("stem", "setup"),
+    "flora-controller": ("stem", "setup", "controller_offer", "controller_chunk"),
     "flora-led": ("light", "setup", "tick"),
     "flora-stem": ("frame", "setup"),
     "flora-uploader": ("frame",),

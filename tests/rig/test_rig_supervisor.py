@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 
 from flora_common.errors import BadInput
+from flora_common.installed import command
 from flora_common.runs import RunFile
 from flora_twin.box import camera_section
 from flora_twin.main import main
-from flora_twin.rig.demo import parse_speed
+from flora_twin.rig.experiment import parse_speed
 from flora_twin.rig.layout import make_layout, remove_sockets
-from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, command, wait_until
+from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, wait_until
 
 READY = """
 import os, signal, socket, sys

@@ -17,6 +17,7 @@ from flora_common.network import Network
 from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerCore, ControllerSection, usable_points
 from flora_controller.evolved import Evolved
+from flora_controller.lineup import Lineup
 from flora_controller.record import Record, read_record, write_record
 from flora_controller.source import built_in
 from flora_controller.steering import Steering
@@ -40,7 +41,7 @@ def stem(tick: int, x_cm: float = 0.0, y_cm: float = 10.0, *, outcome: Outcome =
 def core(use: str | Steering = "tip-follower", *, record: Record | None = None, **changes: object) -> ControllerCore:
     section = msgspec.convert({"use": use if isinstance(use, str) else "file"} | changes, ControllerSection)
     rule = built_in(section, TARGET, OBSTACLE) if isinstance(use, str) else use
-    return ControllerCore(rule, section, target=TARGET, obstacle=OBSTACLE, record=record or Record(run="r"))
+    return ControllerCore(Lineup(rule), section, target=TARGET, obstacle=OBSTACLE, record=record or Record(run="r"))
 
 
 def command(made: ControllerCore, heard: Stem) -> LightCommand:
@@ -234,7 +235,7 @@ def test_another_controller_keeps_what_the_plant_did_and_drops_what_the_other_on
     made.on_stem(stem(1, x_cm=-6.0, y_cm=12.0))
     made.on_stem(stem(2, x_cm=3.0, y_cm=12.0))
 
-    made.use(built_in(ControllerSection(use="tip-follower"), TARGET, OBSTACLE))
+    made.use(Lineup(built_in(ControllerSection(use="tip-follower"), TARGET, OBSTACLE)))
 
     record = made.record
     assert (record.decisions, record.switches, record.best_fitness, record.memory) == (0, 0, None, {})

@@ -11,7 +11,9 @@ import pytest
 from flora_common.errors import BadController, ConfigError
 from flora_common.files import write_bytes
 from flora_common.shapes import Obstacle, Target
+from flora_controller.acceptance import Acceptance, Policy
 from flora_controller.core import ControllerSection
+from flora_controller.serials import Serials
 from flora_controller.source import FileSource, built_in, kept_file
 from flora_controller.steering import WaypointSection
 
@@ -59,13 +61,19 @@ def test_what_looks_at_no_target_needs_none(name: str) -> None:
     assert built_in(ControllerSection(use=name), None, None).name == name
 
 
+def accepting(target: Target | None = TARGET, obstacle: Obstacle | None = OBSTACLE) -> Acceptance:
+    """A rig's checks with nothing configured."""
+    policy = Policy(target=target, obstacle=obstacle)
+    return Acceptance(policy, Serials(), keep=lambda _: None, utc=lambda: None)
+
+
 class Rig:
     def __init__(self, folder: Path) -> None:
         self.path = folder / "steer.controller.json"
         self.state = folder / "state"
 
     def source(self, *, target: Target | None = TARGET, obstacle: Obstacle | None = OBSTACLE) -> FileSource:
-        return FileSource(self.path, kept_file(self.state, self.path), target=target, obstacle=obstacle)
+        return FileSource(self.path, kept_file(self.state, self.path), accepting(target, obstacle))
 
 
 @pytest.fixture
@@ -96,7 +104,7 @@ def test_a_link_that_is_turned_takes_over(rig: Rig, tmp_path: Path) -> None:
     other.write_bytes(EXPORT)
     current = tmp_path / "current.controller.json"
     current.symlink_to(rig.path)
-    source = FileSource(current, tmp_path / "kept", target=TARGET, obstacle=OBSTACLE)
+    source = FileSource(current, tmp_path / "kept", accepting())
     new = tmp_path / "new"
     new.symlink_to(other)
     new.replace(current)
@@ -177,7 +185,7 @@ def test_what_was_accepted_under_another_path_does_not_count(rig: Rig, tmp_path:
     write_bytes(other, BAD)
 
     with pytest.raises(BadController):
-        FileSource(other, kept_file(rig.state, other), target=TARGET, obstacle=OBSTACLE)
+        FileSource(other, kept_file(rig.state, other), accepting())
 
 
 def test_many_switches_never_show_half_a_controller(rig: Rig) -> None:

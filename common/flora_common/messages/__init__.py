@@ -4,6 +4,9 @@
 """
 
 from flora_common.messages.catalogue import (
+    ControllerAnswer,
+    ControllerChunk,
+    ControllerOffer,
     ControllerState,
     Flash,
     Frame,
@@ -23,6 +26,9 @@ from flora_common.messages.wire import MAX_PAYLOAD_BYTES, decode, encode, split_
 __all__ = [
     "CATALOGUE",
     "MAX_PAYLOAD_BYTES",
+    "ControllerAnswer",
+    "ControllerChunk",
+    "ControllerOffer",
     "ControllerState",
     "Flash",
     "Frame",

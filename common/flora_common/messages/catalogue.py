@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
@@ -32,6 +32,17 @@ Outcome = Literal["ok", "no_stem", "jumped", "occluded", "touches_edge", "bad_pi
 MissedBecause = Literal["camera_hung", "camera_gone", "bad_picture", "disk_full", "not_written"]
 State = Literal["starting", "ready", "degraded", "fault"]
 Stage = Literal["waiting", "stored", "refused"]
+OfferStage = Literal["received", "refused", "shadowing", "steering", "returned"]
+
+CHUNK_BYTES: Final = 16 * 1024
+"""Of a file that is offered, before base64; every chunk but the last has exactly this many."""
+MAX_CHUNKS: Final = 62
+"""Of the largest controller file, 1 MB."""
+MOST_SHADOW_TICKS: Final = 100_000
+OfferId = Annotated[
+    str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)", max_length=16, description="drawn anew by whoever offers")
+]
+ChunkNumber = Annotated[int, Meta(ge=0, le=MAX_CHUNKS - 1)]
 
 
 @message("tick", owner="flora-flash", period="tick")
@@ -125,7 +136,7 @@ class LightCommand(Message, kw_only=True, frozen=True):
     reason: Sentence = ""
 
 
-@message("controller", owner="flora-controller", period="tick")
+@message("controller", owner="flora-controller", period="tick", version=2)
 class ControllerState(Message, kw_only=True, frozen=True):
     """What steers, and how well it does."""
 
@@ -143,7 +154,18 @@ class ControllerState(Message, kw_only=True, frozen=True):
     decisions: Count = 0
     switches: Annotated[Count, Meta(description="changes of lamp so far")] = 0
     run_over: Annotated[bool, Meta(description="a stop rule holds: height reached, or obstacle touched")] = False
-    reason: Annotated[Sentence, Meta(description="the stop rule, or why a controller file was refused")] = ""
+    reason: Annotated[
+        Sentence, Meta(description="the stop rule, why a controller file was refused, why one was returned from")
+    ] = ""
+    shadow: Annotated[
+        Sentence, Meta(description="name of a new controller that is asked beside the one that shines; empty for none")
+    ] = ""
+    shadow_sha256: OptionalSha256 = ""
+    shadow_output: Annotated[Share | None, Meta(description="what it answered this tick; none where not asked")] = None
+    shadow_light: Annotated[Light | None, Meta(description="the lamp that it would have lit")] = None
+    shadow_ticks: Annotated[Count, Meta(description="ticks that it has answered so far")] = 0
+    shadow_ticks_left: Annotated[Count, Meta(description="ticks to go until it steers")] = 0
+    shadow_agree: Annotated[Share | None, Meta(description="share of those ticks with the lamp that shone")] = None
 
 
 @message("lamps", owner="flora-led", period="tick")
@@ -193,6 +215,50 @@ class Recording(Message, kw_only=True, frozen=True):
     bytes: Count = 0
     bad: Annotated[Count, Meta(description="messages recorded raw because they do not fit the catalogue")] = 0
     closed: bool = False
+
+
+@message("controller_offer", owner="flora-lab", period="none", keep=False)
+class ControllerOffer(Message, kw_only=True, frozen=True):
+    """A controller file that a rig is to take; its bytes follow in chunks. Said again, it asks what is missing."""
+
+    offer: OfferId
+    name: Annotated[Sentence, Meta(description="of the file, for people")]
+    sha256: Annotated[Sha256, Meta(description="of the whole file")]
+    bytes: Annotated[int, Meta(ge=1, le=CHUNK_BYTES * MAX_CHUNKS)]
+    chunks: Annotated[int, Meta(ge=1, le=MAX_CHUNKS, description="of 16384 bytes each, the last one shorter")]
+    shadow_ticks: Annotated[
+        int, Meta(ge=0, le=MOST_SHADOW_TICKS, description="ticks in shadow before it steers; the rig may ask for more")
+    ] = 0
+
+
+@message("controller_chunk", owner="flora-lab", period="none", keep=False)
+class ControllerChunk(Message, kw_only=True, frozen=True):
+    """A piece of the file that was offered."""
+
+    offer: OfferId
+    number: Annotated[ChunkNumber, Meta(description="from 0")]
+    data: Annotated[str, Meta(max_length=CHUNK_BYTES * 4 // 3 + 4, description="base64")]
+
+
+@message("controller_answer", owner="flora-controller", period="none")
+class ControllerAnswer(Message, kw_only=True, frozen=True):
+    """What has become of an offer. Said at each change, and whenever the offer is said again."""
+
+    offer: OfferId
+    stage: Annotated[
+        OfferStage,
+        Meta(
+            description="received: known, chunks are missing; refused: never steered; shadowing: accepted, and asked "
+            "beside the old one; steering; returned: accepted, and given up since"
+        ),
+    ]
+    sha256: Sha256
+    missing: Annotated[
+        tuple[ChunkNumber, ...], Meta(max_length=MAX_CHUNKS, description="chunks that have not arrived")
+    ] = ()
+    shadow_ticks_left: Count = 0
+    steers: Annotated[Sentence, Meta(description="name of the controller that steers now")] = ""
+    reason: Sentence = ""
 
 
 @message("health", owner="every service", period="10 s", per_source=True)

@@ -151,6 +151,8 @@ def controller_bytes(
     network: NetworkExport,
     task: Task,
     provenance: Mapping[str, str | int | float | bool],
+    *,
+    serial: int = 0,
 ) -> bytes:
     """A controller file, not signed. The same arguments give the same bytes.
 
@@ -159,6 +161,7 @@ def controller_bytes(
         network: of 26 inputs, in the order of :data:`INPUTS`, and one output.
         task: that it was evolved for.
         provenance: where it is from.
+        serial: grows from file to file of one signing key; signing sets it anew.
     """
     file = ControllerFile(
         format="flora-controller",
@@ -169,6 +172,7 @@ def controller_bytes(
         output_rule=OUTPUT_RULE,
         task=task_of(task),
         provenance=dict(provenance),
+        serial=serial,
     )
     return (json.dumps(msgspec.to_builtins(file), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 

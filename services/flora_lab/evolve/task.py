@@ -1,7 +1,8 @@
 """What a controller is evolved for: targets, obstacles, the stem that a run starts from, and when it ends.
 
-The two built-in tasks are those of Wahby et al. 2018, section "Task: Obstacle avoidance by shaping the plant". The
-paper averages fitness over all scenarios of a task, also over the one of which it says that the plant cannot reach the
+The built-in tasks are those of Wahby et al. 2018: ``left`` and ``middle`` of its section "Task: Obstacle avoidance by
+shaping the plant", and ``reality``, which its controllers met with real plants and were not evolved for. The paper
+averages fitness over all scenarios of a task, also over the one of which it says that the plant cannot reach the
 target there; ``is_possible`` marks it, so that the average can be told without it too.
 
 There is no penalty for touching the obstacle: the run ends there, far from the target.
@@ -16,14 +17,12 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
+from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_lab.simulator.measured import STEP_S
 
 START_CM: Final = 6.5
 """Height of the stem that runs start from, where nothing else is said: below all of the paper's obstacles."""
-STOP_CM: Final = 21.0
-HOURS: Final = 72.0
-"""Wahby et al. 2018: a run ends at a height of about 21 cm, which beans reach in about 72 hours."""
 Stem = tuple[tuple[float, float], ...]
 
 
@@ -67,8 +66,8 @@ class Task:
     name: str
     scenarios: tuple[Scenario, ...]
     start_cm: Stem = STRAIGHT_STEM
-    stop_height_cm: float = STOP_CM
-    hours: float = HOURS
+    stop_height_cm: float = STOP_HEIGHT_CM
+    hours: float = RUN_HOURS
 
     @property
     def most_steps(self) -> int:
@@ -86,7 +85,7 @@ class Task:
         return np.array([scenario.is_possible for scenario in self.scenarios])
 
 
-LEFT_TARGET: Final = Target(-5.12, 17.9)
+LEFT_TARGET: Final = REALITY_TARGET
 MIDDLE_TARGET: Final = Target(0.0, 17.9)
 
 LEFT: Final = Task(
@@ -105,7 +104,8 @@ MIDDLE: Final = Task(
         Scenario("left", MIDDLE_TARGET, Obstacle(-3.0, 8.8)),
     ),
 )
-BUILT_IN: Final[Mapping[str, Task]] = {task.name: task for task in (LEFT, MIDDLE)}
+REALITY: Final = Task("reality", (Scenario("reality", REALITY_TARGET, REALITY_OBSTACLE),))
+BUILT_IN: Final[Mapping[str, Task]] = {task.name: task for task in (LEFT, MIDDLE, REALITY)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,12 @@ import numpy as np
 from flora_common.controller_file import Label
 from flora_common.errors import BadInput
 from flora_common.geometry import collides
+from flora_common.paper_experiment import RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.runs import Cm, ObstacleSection, PositiveCm, TargetSection
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
-from flora_lab.evolve.task import BUILT_IN, HOURS, START_CM, STOP_CM, Scenario, Stem, Task, straight_stem
+from flora_lab.evolve.task import BUILT_IN, START_CM, Scenario, Stem, Task, straight_stem
 from flora_lab.simulator.measured import STEP_S
 
 MOST_SCENARIOS: Final = 100
@@ -49,8 +50,8 @@ class TaskFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A task as a file; see docs/reference/task-file.md."""
 
     name: Label
-    hours: Annotated[float, msgspec.Meta(ge=STEP_S / 3600.0, le=1000.0)] = HOURS
-    stop_height_cm: PositiveCm = STOP_CM
+    hours: Annotated[float, msgspec.Meta(ge=STEP_S / 3600.0, le=1000.0)] = RUN_HOURS
+    stop_height_cm: PositiveCm = STOP_HEIGHT_CM
     start: StartSection = StartSection()
     target: TargetSection | None = None
     obstacle: ObstacleSection | None = None

@@ -10,6 +10,7 @@ import typer
 
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes, write_text
+from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import RunFolder
 from flora_lab.report import strip
 from flora_lab.report.page import page
@@ -27,6 +28,9 @@ def report(
     output: Annotated[Path, typer.Option("-o", "--output", help="The page to write.")] = Path("report.html"),
     strip_png: Annotated[Path | None, typer.Option("--strip", help="Also write the picture strip, as PNG.")] = None,
     title: Annotated[str, typer.Option(help="Heading of the page.")] = "",
+    stop_height_cm: Annotated[
+        float, typer.Option("--stop-height", min=0.1, max=500.0, help="The run was over with the tip this high, in cm.")
+    ] = STOP_HEIGHT_CM,
     note: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="A further row of the table.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
 ) -> None:
@@ -36,7 +40,7 @@ def report(
 
     folder = RunFolder(run)
     notes = [_note(text) for text in note or []]
-    summary = summarise(folder)
+    summary = summarise(folder, stop_height_cm=stop_height_cm)
     panels = strip.strip(folder, summary)
     drawn = {
         "shapes": figures.shapes(summary),
@@ -59,6 +63,7 @@ def numbers(summary: RunSummary) -> dict[str, Any]:
         "fitness_at_target": summary.fitness_at_target,
         "fitness_at_stop": summary.fitness_at_stop,
         "best_fitness": summary.best_fitness,
+        "ended": summary.ended,
         "stop_reason": summary.stop_reason,
         "stop_h": float(summary.track.time_s[summary.stop_row] / 3600),
         "target_reached_h": summary.reached_h,

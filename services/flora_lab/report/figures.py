@@ -16,11 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from flora_common.runs import Light
+from flora_lab.figure_style import GREY, LAMP_COLOURS, OBSTACLE, TARGET
 from flora_lab.report.summary import RunSummary
-
-LAMP_COLOURS: dict[Light, str] = {"left": "#3b6fd4", "right": "#e0a100", "both": "#7aa37a", "dark": "#444444"}
-GREY = "#9a9a9a"
-RED = "#c8372d"
 
 
 def shapes(summary: RunSummary, *, count: int = 25) -> str:
@@ -48,7 +45,7 @@ def tip_and_lamps(summary: RunSummary) -> str:
     axes.plot(hours, summary.track.points_cm[:, -1, 1], color="#2a7f3f", label="tip height y")
     axes.plot(hours, summary.track.points_cm[:, -1, 0], color="black", label="tip x (right is positive)")
     if summary.run.target is not None:
-        axes.axhline(summary.run.target.x_cm, color=RED, linestyle=":", linewidth=1, label="target x")
+        axes.axhline(summary.run.target.x_cm, color=TARGET, linestyle=":", linewidth=1, label="target x")
     _lamp_band(axes, [f.time_s / 3600 for f in summary.frames], [f.light for f in summary.frames])
     axes.set(xlabel="hours", ylabel="cm", xlim=(0, max(hours[-1], 0.1)))
     axes.legend(loc="upper left", frameon=False, fontsize=8)
@@ -73,10 +70,10 @@ def _task(axes: Axes, summary: RunSummary) -> None:
     target, obstacle = summary.run.target_or_none(), summary.run.obstacle_or_none()
     if obstacle is not None:
         corner = (obstacle.left_cm, obstacle.bottom_cm)
-        axes.add_patch(Rectangle(corner, obstacle.width_cm, obstacle.height_cm, facecolor=GREY, alpha=0.6))
+        axes.add_patch(Rectangle(corner, obstacle.width_cm, obstacle.height_cm, facecolor=OBSTACLE, alpha=0.6))
     if target is not None:
-        axes.add_patch(Circle((target.x_cm, target.y_cm), target.radius_cm, facecolor=RED, alpha=0.4))
-        axes.plot(target.x_cm, target.y_cm, "+", color=RED)
+        axes.add_patch(Circle((target.x_cm, target.y_cm), target.radius_cm, facecolor=TARGET, alpha=0.4))
+        axes.plot(target.x_cm, target.y_cm, "+", color=TARGET)
 
 
 def _lamp_band(axes: Axes, hours: Sequence[float], lights: Sequence[Light]) -> None:

@@ -2,26 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from html import escape
 
+from flora_lab import html_page
 from flora_lab.report.summary import RunSummary
-
-STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1c2420; background: #fff; max-width: 62rem; margin: 2rem auto;
-       padding: 0 1rem; }
-h1 { font-size: 1.6rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; }
-.lead { color: #55605a; margin: 0 0 1.5rem; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(9rem, 1fr)); gap: .8rem; margin: 1.2rem 0; }
-.figures div { background: #f2f5f3; border-radius: .5rem; padding: .7rem .9rem; }
-.figures b { display: block; font-size: 1.5rem; line-height: 1.2; } .figures span { color: #55605a; font-size: .85rem; }
-img, svg { max-width: 100%; height: auto; display: block; }
-figcaption { color: #55605a; font-size: .9rem; margin: .3rem 0 0; } figure { margin: 0; }
-table { border-collapse: collapse; } td, th { padding: .25rem 1.2rem .25rem 0; text-align: left; vertical-align: top; }
-th { font-weight: 500; color: #55605a; }
-"""
 
 
 def page(
@@ -41,29 +25,26 @@ def page(
         figures: SVG text by name: ``shapes``, ``tip``, ``fitness`` (empty where there is no target).
         notes: further rows of the table at the end: (name, value).
     """
-    picture = base64.b64encode(strip_jpeg).decode()
     body = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="lead">{escape(_lead(summary))}</p>',
-        _headline(summary),
-        "<h2>The plant</h2><figure>",
-        f'<img alt="Photographs of the run" src="data:image/jpeg;base64,{picture}">',
-        "<figcaption>Stem as measured (ten points), obstacle (grey), target (red); circles at the top: the left and the"
-        " right lamp, filled when lit.</figcaption></figure>",
-        "<h2>Tip and lamps</h2>",
+        html_page.heading(title, _lead(summary)),
+        html_page.tiles(_headline(summary)),
+        html_page.section("The plant"),
+        html_page.picture(
+            strip_jpeg,
+            "jpeg",
+            alt="Photographs of the run",
+            caption="Stem as measured (ten points), obstacle (grey), target (red); circles at the top: the left and the"
+            " right lamp, filled when lit.",
+        ),
+        html_page.section("Tip and lamps"),
         figures["tip"],
-        *(["<h2>Fitness</h2>", figures["fitness"]] if figures["fitness"] else []),
-        "<h2>Shape through time</h2>",
+        *([html_page.section("Fitness"), figures["fitness"]] if figures["fitness"] else []),
+        html_page.section("Shape through time"),
         figures["shapes"],
-        "<h2>All figures</h2>",
-        _table([*_rows(summary), *notes]),
+        html_page.section("All figures"),
+        html_page.pairs([*_rows(summary), *notes]),
     ]
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
-        + "\n".join(body)
-        + "</body></html>\n"
-    )
+    return html_page.document(title, body)
 
 
 def _lead(summary: RunSummary) -> str:
@@ -71,7 +52,7 @@ def _lead(summary: RunSummary) -> str:
     return f"Rig {summary.run.rig}, {plant}: {summary.hours:.1f} hours, {len(summary.frames)} photographs."
 
 
-def _headline(summary: RunSummary) -> str:
+def _headline(summary: RunSummary) -> list[tuple[str, str]]:
     tiles = []
     if summary.fitness_at_target is not None and summary.reached_h is not None:
         tiles.append(
@@ -91,9 +72,7 @@ def _headline(summary: RunSummary) -> str:
         tiles.append((f"{summary.clearance_cm:.1f} cm", "least distance to the obstacle"))
     tiles.append((f"{summary.track.points_cm[summary.stop_row, -1, 1]:.1f} cm", "tip height at the end"))
     tiles.append((f"{summary.readings}/{len(summary.frames)}", "photographs with a stem"))
-    return (
-        '<div class="figures">' + "".join(f"<div><b>{escape(a)}</b><span>{b}</span></div>" for a, b in tiles) + "</div>"
-    )
+    return tiles
 
 
 def _hour(hour: float) -> str:
@@ -120,7 +99,3 @@ def _rows(summary: RunSummary) -> list[tuple[str, str]]:
         size = f"{obstacle.width_cm:g} x {obstacle.height_cm:g} cm"
         rows.append(("obstacle", f"{size}, centre ({obstacle.x_cm:g}, {obstacle.y_cm:g}) cm"))
     return rows
-
-
-def _table(rows: Sequence[tuple[str, str]]) -> str:
-    return "<table>" + "".join(f"<tr><th>{escape(a)}</th><td>{escape(b)}</td></tr>" for a, b in rows) + "</table>"

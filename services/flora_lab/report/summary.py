@@ -5,15 +5,13 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-import numpy as np
-
 from flora_common.errors import BadRunFolder
-from flora_common.geometry import FloatArray, clearance_cm, collides, fitness
+from flora_common.experiment_file import Ended
+from flora_common.geometry import FloatArray
+from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import FrameRow, RunFile, RunFolder
 from flora_common.tracks import Track, read_track
-
-STOP_HEIGHT_CM = 21.0
-"""The paper's stop rule: the run is over when the tip is this high."""
+from flora_lab.judging import judge, reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +22,9 @@ class RunSummary:
         frames: photographs of the run.
         readings: those in which a stem was found.
         hours: from the first photograph to the last.
-        fitness_over_time: the paper's F of the tip, shape (readings,).
-        stop_row: first reading at which a stop rule holds, or the last one.
-        stop_reason: that rule, or why there is none.
-        fitness_at_stop: F at ``stop_row``.
-        best_fitness: the largest F up to ``stop_row``.
-        fitness_at_target: F when the tip first lay in the target's circle: what the paper reports of its real plants.
-        reached_h: hour at which the tip first lay in the target's circle.
-        collided_h: hour at which the stem first touched the obstacle.
-        clearance_cm: smallest distance between stem and obstacle.
+        stop_row, ended, fitness_over_time, fitness_at_stop, best_fitness, fitness_at_target, reached_h, collided_h,
+            clearance_cm: see :class:`flora_lab.judging.Judged`.
+        stop_reason: why the run was over, in words.
         switches: changes of the lamp.
     """
 
@@ -43,6 +35,7 @@ class RunSummary:
     hours: float
     fitness_over_time: FloatArray | None
     stop_row: int
+    ended: Ended
     stop_reason: str
     fitness_at_stop: float | None
     best_fitness: float | None
@@ -53,8 +46,12 @@ class RunSummary:
     switches: int
 
 
-def summarise(folder: RunFolder) -> RunSummary:
+def summarise(folder: RunFolder, *, stop_height_cm: float = STOP_HEIGHT_CM) -> RunSummary:
     """Read and judge a run folder.
+
+    Args:
+        folder: of the run.
+        stop_height_cm: height of the tip at which the run was over.
 
     Raises:
         BadRunFolder: run.toml, frames.csv or track.csv is missing or unusable.
@@ -64,38 +61,24 @@ def summarise(folder: RunFolder) -> RunSummary:
     if not frames:
         raise BadRunFolder(f"{folder.frames_csv}: holds no frames")
     track = read_track(folder.track_csv)
-    target, obstacle = run.target_or_none(), run.obstacle_or_none()
-    hours = track.time_s / 3600
-    tips = track.points_cm[:, -1]
-    touches = np.array([obstacle is not None and collides(points, obstacle) for points in track.points_cm])
-    stop_row, stop_reason = _stop(tips, touches)
-    over_time = np.array([fitness(x, y, target) for x, y in tips]) if target else None
-    inside = np.array([target.contains(x, y) for x, y in tips]) if target else np.zeros(len(tips), dtype=bool)
+    judged = judge(
+        track.time_s, track.points_cm, run.target_or_none(), run.obstacle_or_none(), stop_height_cm=stop_height_cm
+    )
     return RunSummary(
         run=run,
         frames=frames,
         track=track,
-        readings=len(hours),
+        readings=len(track.time_s),
         hours=(frames[-1].time_s - frames[0].time_s) / 3600,
-        fitness_over_time=over_time,
-        stop_row=stop_row,
-        stop_reason=stop_reason,
-        fitness_at_stop=float(over_time[stop_row]) if over_time is not None else None,
-        best_fitness=float(over_time[: stop_row + 1].max()) if over_time is not None else None,
-        fitness_at_target=float(over_time[int(inside.argmax())]) if over_time is not None and inside.any() else None,
-        reached_h=float(hours[int(inside.argmax())]) if inside.any() else None,
-        collided_h=float(hours[int(touches.argmax())]) if touches.any() else None,
-        clearance_cm=min(clearance_cm(points, obstacle) for points in track.points_cm) if obstacle else None,
+        fitness_over_time=judged.fitness_over_time,
+        stop_row=judged.stop_row,
+        ended=judged.ended,
+        stop_reason=reason(judged.ended, stop_height_cm),
+        fitness_at_stop=judged.fitness_at_stop,
+        best_fitness=judged.best_fitness,
+        fitness_at_target=judged.fitness_at_target,
+        reached_h=judged.reached_h,
+        collided_h=judged.collided_h,
+        clearance_cm=judged.clearance_cm,
         switches=sum(a.light != b.light for a, b in itertools.pairwise(frames)),
     )
-
-
-def _stop(tips: FloatArray, touches: np.ndarray) -> tuple[int, str]:
-    high = tips[:, 1] >= STOP_HEIGHT_CM
-    first_high = int(high.argmax()) if high.any() else len(tips)
-    first_touch = int(touches.argmax()) if touches.any() else len(tips)
-    if first_touch < first_high:
-        return first_touch, "the stem touched the obstacle"
-    if first_high < len(tips):
-        return first_high, f"the tip was {STOP_HEIGHT_CM:g} cm high"
-    return len(tips) - 1, "the run ended"

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flora_common.geometry import FloatArray
+from flora_lab.figure_style import BLUE, COLOURS, GREY, GRID, ORANGE, new_figure, png
 from flora_lab.rollout.free_running import NO_START, FreeRun, Judged
 from flora_lab.rollout.intervals import FEWEST_PLANTS, LEVEL, by_plant, median
 from flora_lab.rollout.predictors import GoesOn, NothingMoves
@@ -22,11 +20,6 @@ from flora_lab.simulator.measured import MeasuredRun
 
 Style = Literal["-", "--", "-.", ":"]
 
-BLUE: Final = "#0072B2"
-ORANGE: Final = "#D55E00"
-COLOURS: Final = (BLUE, ORANGE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito's, which people with any colour vision tell apart."""
-GREY: Final = "#7a7a7a"
 PREDICTOR_STYLES: Final = {NothingMoves.kind: ":", GoesOn.kind: "-."}
 STYLES: Final = ("-", "--", (0, (5, 1, 1, 1)), (0, (1, 1)))
 LEAST_MM: Final = (0.02, 1.0)
@@ -46,7 +39,7 @@ def errors_over_time(entries: Sequence[Entry], summary: Summary) -> bytes:
         ("often", f"after watching {summary.plan.watch_h:g} h\nand again every {summary.plan.every_h:g} h"),
     )
     panels = [(start, title) for start, title in free if start == "unseen" or entries[0].judged.watched is not None]
-    figure = _figure(1.0 + 4.2 * len(panels), 4.4)
+    figure = new_figure(1.0 + 4.2 * len(panels), 4.4)
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     lowest = [LEAST_MM[1]]
     for ax, (start, title) in zip(axes, panels, strict=True):
@@ -55,7 +48,7 @@ def errors_over_time(entries: Sequence[Entry], summary: Summary) -> bytes:
                 lowest.append(_error_curve(ax, entry, start, summary, index))
         ax.set_title(title, fontsize=11)
         ax.set_xlabel("time since the start")
-        ax.grid(color="#dddddd", linewidth=0.6)
+        ax.grid(color=GRID, linewidth=0.6)
     ticks = sorted({1, *summary.plan.horizons, round(72.0 * 3600.0 / summary.step_s)})
     axes[0].set_xscale("log")
     axes[0].set_xticks([tick * summary.step_s / 3600.0 for tick in ticks])
@@ -70,7 +63,7 @@ def errors_over_time(entries: Sequence[Entry], summary: Summary) -> bytes:
     plants = summary.plants
     band = "" if plants < FEWEST_PLANTS else f"; bands: {100 * LEVEL:.0f} % intervals over plants"
     figure.suptitle(f"{len(summary.runs)} runs of {plants} plants{band}", fontsize=10)
-    return _png(figure)
+    return png(figure)
 
 
 def _error_curve(ax: Axes, entry: Entry, start: Start, summary: Summary, index: int) -> float:
@@ -108,7 +101,7 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     judged = entry.judged
     hours = stem_hours(run.hours)
     simulated = _tracks(judged, index, len(run))
-    figure = _figure(13.0, 4.5)
+    figure = new_figure(13.0, 4.5)
     axes = figure.subplots(1, 1 + len(hours), sharex=True, sharey=True)
     rows = [min(len(run) - 1, round(hour * 3600.0 / run.step_s)) for hour in hours]
     _path(axes[0], run.points_cm[:, -1], rows, "black", "-")
@@ -125,7 +118,7 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     outside = any(np.nanmax(np.maximum(low - track, track - high)) > 0.0 for track, _, _ in simulated)
     for ax in axes:
         ax.set_aspect("equal", adjustable="box")
-        ax.grid(color="#dddddd", linewidth=0.6)
+        ax.grid(color=GRID, linewidth=0.6)
     legend: list[tuple[str, str, Style]] = [("measured", "black", "-")]
     legend.append((f"{entry.name}, from the first stem", BLUE, "--"))
     if len(simulated) > 1:
@@ -135,7 +128,7 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     title = f"{run.name} ({run.plant}), running free; dots on the path are where the stems are"
     title += f"; {entry.name} also goes outside the picture" if outside else ""
     figure.suptitle(f"{title}\n", fontsize=10)  # the empty line keeps it off the panels' titles
-    return _png(figure)
+    return png(figure)
 
 
 def stem_hours(run_hours: float) -> tuple[float, ...]:
@@ -170,18 +163,3 @@ def _by_row(run: FreeRun, index: int, rows: int) -> FloatArray:
 def _path(ax: Axes, tips_cm: FloatArray, rows: list[int], colour: str, style: Style) -> None:
     ax.plot(*tips_cm.T, color=colour, linestyle=style, linewidth=1.2)
     ax.plot(*tips_cm[rows].T, color=colour, linestyle="", marker="o", markersize=4)
-
-
-def _figure(wide: float, high: float) -> Figure:
-    figure = Figure(figsize=(wide, high), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure: Figure) -> bytes:
-    for ax in figure.axes:
-        ax.spines[["top", "right"]].set_visible(False)
-    data = io.BytesIO()
-    # without the version of matplotlib, so that the same runs give the same bytes
-    figure.savefig(data, format="png", dpi=110, metadata={"Software": None})
-    return data.getvalue()

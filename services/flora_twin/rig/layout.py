@@ -13,14 +13,12 @@ import tomli_w
 
 from flora_common.errors import BadInput
 from flora_common.files import make_folder, write_text
+from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET
 from flora_common.runs import ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+from flora_common.shapes import Obstacle, Target
 
 MARKER: Final = ".flora-rig"
 """Marks a folder as one of ours: only such a folder is ever emptied."""
-
-PAPER_TARGET: Final = TargetSection(x_cm=-5.12, y_cm=17.9, radius_cm=2.0)
-PAPER_OBSTACLE: Final = ObstacleSection(x_cm=-6.3, y_cm=12.5, width_cm=7.0, height_cm=3.0)
-"""The paper's reality experiment (its section "Performance of controllers in reality")."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +114,10 @@ def remove_sockets(layout: Layout) -> None:
     shutil.rmtree(layout.sockets, ignore_errors=True)
 
 
-def with_task(run_file: RunFile) -> RunFile:
-    """The paper's reality experiment as this run's task."""
-    return msgspec.structs.replace(run_file, target=PAPER_TARGET, obstacle=PAPER_OBSTACLE)
+def with_task(run_file: RunFile, target: Target = REALITY_TARGET, obstacle: Obstacle = REALITY_OBSTACLE) -> RunFile:
+    """The run's task: target and obstacle, those of the paper's reality experiment where none are given."""
+    return msgspec.structs.replace(
+        run_file,
+        target=TargetSection(target.x_cm, target.y_cm, target.radius_cm),
+        obstacle=ObstacleSection(obstacle.x_cm, obstacle.y_cm, obstacle.width_cm, obstacle.height_cm),
+    )

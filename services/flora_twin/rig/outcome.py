@@ -1,4 +1,4 @@
-"""What a demo came to: told in ten lines, and as a page."""
+"""What an experiment came to: told in ten lines, as a page, and as a file for programs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 
 from rich.console import Console
 
+from flora_common.installed import command
 from flora_twin.rig.integrity import Integrity
 from flora_twin.rig.layout import Layout
-from flora_twin.rig.supervisor import ServiceFailed, command
+from flora_twin.rig.supervisor import ServiceFailed
 from flora_twin.rig.truth import TruthCheck
 from flora_twin.rig.virtual_rig import Seen
 
@@ -26,7 +27,7 @@ class Outcome:
         restarts: how often each process was started again.
         integrity: whether every announced photograph is there, whole and stored.
         truth: the measured stems beside the true ones; None where no stem was measured.
-        hours: length of the run.
+        hours: how long the plant grew.
         took_s: real seconds.
     """
 
@@ -38,18 +39,20 @@ class Outcome:
     took_s: float
 
 
-def write_report(layout: Layout, out: Path, outcome: Outcome, *, controller: str) -> dict[str, Any]:
+def write_report(
+    layout: Layout, out: Path, outcome: Outcome, *, controller: str, stop_height_cm: float
+) -> dict[str, Any]:
     """Write ``report.html`` and ``strip.png``; returns the report's figures.
 
     Raises:
         ServiceFailed: the report could not be made.
     """
-    notes = {"controller": Path(controller).name, **_notes(outcome)}
+    notes = {"controller": controller, **_notes(outcome)}
     done = subprocess.run(
         [
             *(command("flora-lab"), "report", str(layout.run.path), "--json"),
             *("-o", str(out / "report.html"), "--strip", str(out / "strip.png")),
-            *("--title", "A virtual bean, steered round an obstacle"),
+            *("--title", "A virtual bean, steered round an obstacle", "--stop-height", f"{stop_height_cm:g}"),
             *(part for name, value in notes.items() for part in ("--note", f"{name}={value}")),
         ],
         capture_output=True,

@@ -12,7 +12,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -262,8 +261,3 @@ def wait_until(
             raise ServiceFailed(f"{what}: not within {within_s:g} s")
         poll()
         time.sleep(pause_s)
-
-
-def command(name: str) -> str:
-    """Path of an installed command, beside the running Python."""
-    return str(Path(sys.executable).parent / name)

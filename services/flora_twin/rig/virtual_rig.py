@@ -17,6 +17,7 @@ from typing import Final, Self
 from flora_common.bus import BusClient
 from flora_common.clock import FollowerClock
 from flora_common.config import RigSection, load_config
+from flora_common.installed import command
 from flora_common.messages import (
     ControllerState,
     Flash,
@@ -32,7 +33,7 @@ from flora_common.messages import (
 )
 from flora_common.twin_link import TwinLink
 from flora_twin.rig.layout import Layout, remove_sockets
-from flora_twin.rig.supervisor import ServiceFailed, Supervisor, command, wait_until
+from flora_twin.rig.supervisor import ServiceFailed, Supervisor, wait_until
 
 BOX: Final = "flora-twin"
 BUS: Final = "flora-bus"

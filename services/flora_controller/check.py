@@ -1,0 +1,48 @@
+"""``flora-controller check FILE``: whether a controller file could steer, what it is, and who signed it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from flora_common.cli import run_cli
+from flora_common.controller_file import SUFFIX, LoadedController, load_controller
+from flora_common.errors import BadController
+from flora_common.signing import read_trusted_keys, signer_of
+
+
+def check_file(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit status."""
+    parser = argparse.ArgumentParser("flora-controller check", description="Check a controller file and end.")
+    parser.add_argument("file", type=Path, metavar="FILE", help=f"a controller file, *{SUFFIX}")
+    parser.add_argument(
+        "--keys", type=Path, metavar="DIR", help="public keys; a signature must then be there and be by one of them"
+    )
+    options = parser.parse_args(argv)
+
+    def work() -> None:
+        loaded = load_controller(options.file)
+        network, file = loaded.network, loaded.file
+        links = sum(len(node.links) for node in network.nodes)
+        print(
+            f"{options.file}: good; `{file.name}`, task `{file.task.name}`, {len(network.inputs)} inputs, "
+            f"{len(network.nodes)} nodes, {links} links, sha256 {loaded.sha256[:12]}; {_signed(loaded, options.keys)}"
+        )
+
+    return run_cli("flora-controller", work)
+
+
+def _signed(loaded: LoadedController, keys_dir: Path | None) -> str:
+    file = loaded.file
+    if keys_dir is not None:
+        try:
+            signer = str(signer_of(loaded, read_trusted_keys(keys_dir)))
+        except BadController as problem:
+            raise BadController(f"{problem}; the keys asked are those in {keys_dir}") from problem
+    elif file.signature is not None:
+        signer = f"`{file.signature.key}`, not verified without --keys"
+    else:
+        return "not signed"
+    until = f", expires {file.expires:%Y-%m-%d %H:%M} UTC" if file.expires is not None else ""
+    return f"signed by {signer}, serial {file.serial}{until}"

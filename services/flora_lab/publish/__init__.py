@@ -1,0 +1,1 @@
+"""From the lab to a rig: keys, signed controller files, and their way over the bus."""

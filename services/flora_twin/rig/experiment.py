@@ -1,0 +1,214 @@
+"""One experiment in the virtual rig: an individual plant, steered for hours by the real services, and its outcome."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from flora_common.controller_file import SUFFIX, LoadedController
+from flora_common.errors import BadInput
+from flora_common.files import write_bytes
+from flora_common.geometry import collides
+from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
+from flora_common.runs import RunFile
+from flora_common.shapes import Obstacle, Target
+from flora_twin.box import camera_section
+from flora_twin.rig.faults import FaultSchedule, PlannedFault
+from flora_twin.rig.integrity import check_run
+from flora_twin.rig.layout import Layout, make_layout, with_task
+from flora_twin.rig.outcome import Outcome, write_report
+from flora_twin.rig.supervisor import ServiceFailed
+from flora_twin.rig.truth import check_truth
+from flora_twin.rig.virtual_rig import Seen, VirtualRig
+
+RIG_FOLDER = "rig"
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What is asked for.
+
+    Attributes:
+        out: folder for report, picture strip, and the rig's own folder ``rig/``.
+        start: UTC at which the run is said to begin.
+        seed: the plant's individual.
+        rate: 0 for lock-step, else times real time.
+        hours: length of the run.
+        controller: a built-in name, the path of a controller file, or one that is read already. Of that the rig gets a
+            copy of its own, so that nothing that happens to the file changes the run.
+        target, obstacle: the task.
+        stop_height_cm: height of the tip that counts as the end.
+        goes_on: for all its hours, whatever the plant does; else the run ends where it is over.
+        faults: on schedule.
+        quiet: no progress bar.
+    """
+
+    out: Path
+    start: datetime
+    seed: int = 1
+    rate: float = 0.0
+    hours: float = RUN_HOURS
+    controller: str | LoadedController = "waypoint"
+    target: Target = REALITY_TARGET
+    obstacle: Obstacle = REALITY_OBSTACLE
+    stop_height_cm: float = STOP_HEIGHT_CM
+    goes_on: bool = False
+    faults: tuple[PlannedFault, ...] = ()
+    quiet: bool = False
+
+    @property
+    def controller_name(self) -> str:
+        """For people."""
+        return (
+            self.controller.file.name if isinstance(self.controller, LoadedController) else Path(self.controller).name
+        )
+
+
+def parse_speed(text: str) -> float:
+    """0 for lock-step, 1 for real time, else the number.
+
+    Raises:
+        BadInput: anything else.
+    """
+    if text in ("lockstep", "realtime"):
+        return 0.0 if text == "lockstep" else 1.0
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = -1.0
+    if not 0.0 < rate <= 1000.0:
+        raise BadInput(f"--speed `{text}`: write lockstep, realtime, or a number from above 0 to 1000")
+    return rate
+
+
+def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any], Outcome]:
+    """Grow the plant; returns the report's figures, and what else happened.
+
+    Raises:
+        FloraError: a service failed, or it refuses what it was given.
+    """
+    _check_faults(asked)
+    layout = _make_rig(asked)
+    began_s = time.monotonic()
+    with VirtualRig(layout, seed=asked.seed, rate=asked.rate) as rig, _polite_end(rig):
+        if not asked.quiet:
+            console.print("starting box, bus and services", style="dim")
+        rig.start()
+        if not asked.quiet:
+            console.print("background pictures of the empty box, every lamp state", style="dim")
+        rig.calibrate()
+        _grow(rig, asked, console)
+        restarts = rig.restarts()
+        rig.finish()
+    outcome = Outcome(
+        seen=rig.seen,
+        restarts=restarts,
+        integrity=check_run(layout.run, layout.nas / layout.run.path.name),
+        truth=check_truth(layout.run, layout.box_dir),
+        hours=min(asked.hours, rig.seen.tick.time_s / 3600) if rig.seen.tick else 0.0,
+        took_s=time.monotonic() - began_s,
+    )
+    figures = write_report(
+        layout, asked.out, outcome, controller=asked.controller_name, stop_height_cm=asked.stop_height_cm
+    )
+    return figures, outcome
+
+
+def check_photographs(outcome: Outcome) -> None:
+    """Whether every photograph is there.
+
+    Raises:
+        ServiceFailed: one is not.
+    """
+    if not outcome.integrity.whole:
+        raise ServiceFailed(f"photographs were lost: {outcome.integrity}")
+
+
+def _make_rig(asked: Experiment) -> Layout:
+    run_file = RunFile(camera=camera_section(), rig="demo", plant=f"virtual bean, seed {asked.seed}", start=asked.start)
+    task = with_task(run_file, asked.target, asked.obstacle)
+    root = asked.out / RIG_FOLDER
+    if not isinstance(asked.controller, LoadedController):
+        return make_layout(root, task, sections={"controller": {"use": asked.controller}})
+    copy = root.resolve() / f"steering{SUFFIX}"
+    # Whoever signed it, and whatever it was evolved for: this is where that is found out.
+    rules = {"use": str(copy), "trust": "none", "task": "any", "stop_height_cm": asked.stop_height_cm}
+    layout = make_layout(root, task, sections={"controller": rules})
+    write_bytes(copy, asked.controller.data)
+    return layout
+
+
+def _check_faults(asked: Experiment) -> None:
+    for planned in asked.faults:
+        if planned.at_h >= asked.hours:
+            raise BadInput(
+                f"fault {planned.name}@{planned.at_h:g}h would never strike: the run ends at {asked.hours:g} h"
+            )
+
+
+@contextlib.contextmanager
+def _polite_end(rig: VirtualRig) -> Iterator[None]:
+    """Ctrl-C, SIGTERM, and SIGHUP of a closed terminal end the experiment with every process stopped."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: rig.supervisor.interrupt()) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _grow(rig: VirtualRig, asked: Experiment, console: Console) -> None:
+    schedule = FaultSchedule(rig, asked.faults)
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.1f}/{task.total:g} h"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=asked.quiet,
+    )
+    with progress:
+        bar = progress.add_task("growing", total=asked.hours)
+
+        def each(seen: Seen) -> None:
+            schedule(seen)
+            if seen.tick is not None:
+                progress.update(bar, completed=seen.tick.time_s / 3600, description=describe(seen))
+
+        try:
+            rig.run(lambda seen: is_enough(seen, asked), each=each)
+        finally:
+            schedule.end_all()
+
+
+def is_enough(seen: Seen, asked: Experiment) -> bool:
+    """The lamps of the last tick within the hours are confirmed, or those of the stem with which the run is over."""
+    tick, lamps, stem = seen.tick, seen.lamps, seen.stem
+    if tick is None or lamps is None:
+        return False
+    if tick.time_s / 3600 >= asked.hours - 1e-6 and lamps.tick >= tick.tick:
+        return True
+    if asked.goes_on or stem is None or not stem.points_cm or lamps.tick < stem.tick:
+        return False
+    return stem.points_cm[-1][1] >= asked.stop_height_cm or collides(stem.points_cm, asked.obstacle)
+
+
+def describe(seen: Seen) -> str:
+    """The state of the plant in half a line."""
+    state, lamps = seen.controller, seen.lamps
+    tip = "no stem yet" if state is None or state.tip_cm is None else "tip ({:+.1f}, {:.1f}) cm".format(*state.tip_cm)
+    fitness = "" if state is None or state.fitness is None else f"  fitness {100 * state.fitness:5.1f} %"
+    lamp = "" if lamps is None else f"  lamp {lamps.lit:5}"
+    return f"{tip}{fitness}{lamp}"
