@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from flora_common.geometry import resample_by_height
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems, advanced, standing
-from flora_lab.simulator.rod import CAPACITY, LONG_SEGMENT_CM, elongate, length_of, points_lane, split
+from flora_lab.simulator.rod import CAPACITY, LONG_SEGMENT_CM, along, elongate, jit, length_of, points_lane, split
 from flora_lab.simulator.shape import points_of, rods_through
 from flora_lab.simulator.tropism import LIGHT_HALF, TropismLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean
@@ -88,6 +88,13 @@ def corners(length: Array, angle: Array, n: int) -> Array:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
+@jit
+def grow(length: Array, n: int, zone_cm: float, grown_cm: float) -> None:
+    arc, reach = np.empty(CAPACITY), np.empty(CAPACITY)
+    total_cm = along(length, n, arc, reach)
+    elongate(length, n, arc, total_cm, zone_cm, grown_cm)
+
+
 @settings(deadline=None, max_examples=80)
 @given(rods(), st.floats(0.0, 1.0), st.floats(0.5, 12.0))
 def test_a_stem_grows_by_what_is_asked_for_and_only_below_its_tip(
@@ -97,13 +104,40 @@ def test_a_stem_grows_by_what_is_asked_for_and_only_below_its_tip(
     before, total_cm = length.copy(), float(length.sum())
     from_tip_cm = np.concatenate([np.cumsum(before[:n][::-1])[::-1], [0.0]])
     assert length_of(length, n) == pytest.approx(total_cm)
-    elongate(length, n, total_cm, zone_cm, grown_cm)
+    grow(length, n, zone_cm, grown_cm)
     assert length.sum() - total_cm == pytest.approx(grown_cm, abs=1e-9)
     assert (length >= before).all()
     assert (length[n:] == 0.0).all()
     middle_cm = 0.5 * (from_tip_cm[:-1] + from_tip_cm[1:])
     if (middle_cm < zone_cm).any():
         assert (length - before)[:n][middle_cm > zone_cm + 6.0].sum() <= 1e-3 * grown_cm
+
+
+@settings(deadline=None, max_examples=80)
+@given(rods())
+def test_joints_stand_for_all_of_a_stem_but_half_of_its_last_segment(rod: tuple[Array, Array, int]) -> None:
+    length, _, n = rod
+    arc, reach = np.full(CAPACITY, np.nan), np.full(CAPACITY, np.nan)
+    total_cm = along(length, n, arc, reach)
+    assert total_cm == length_of(length, n)
+    assert arc[:n] == pytest.approx(np.cumsum(length[:n]) - length[:n], abs=1e-12)
+    assert reach[0] == length[0]
+    assert reach[:n].sum() == pytest.approx(length.sum() - 0.5 * length[n - 1] + 0.5 * length[0], abs=1e-12)
+
+
+def test_what_stands_beyond_the_last_segment_does_not_matter() -> None:
+    light = np.tile(RIGHT, (36, 1, 1)).astype(np.float64)
+    bias, whole = np.full((36, 1), 0.02), np.ones((36, 1))
+    for n in (1, 7, 8, 9, 40):
+        clean = chain(np.full(n, 0.2), 0.4)
+        other = clean.copy()
+        other.length[0, n:], other.angle[0, n:] = np.nan, np.inf
+        one, two = (advanced(LAW, stems, traits(), light, bias, whole, STEP_H) for stems in (clean, other))
+        used = one.count[0]
+        assert two.count[0] == used
+        assert one.length[0, :used].tobytes() == two.length[0, :used].tobytes()
+        assert one.angle[0, :used].tobytes() == two.angle[0, :used].tobytes()
+        assert one.points_cm.tobytes() == two.points_cm.tobytes()
 
 
 @settings(deadline=None, max_examples=80)

@@ -1,25 +1,22 @@
-"""An LSTM cell in plain numpy, so that a trained network runs where no learning library is installed.
+"""An LSTM cell, so that a trained network runs where no learning library is installed.
 
 Hochreiter and Schmidhuber 1997, with the forget gate of Gers et al. 2000; rows of the weights in PyTorch's order: input
 gate i, forget gate f, candidate g, output gate o, of H rows each.
 
-A row's result is the same to the last bit whatever other rows are computed with it. BLAS does not give that: it chooses
-another kernel, with another order of summing, for another number of rows. So all products are done in blocks of one and
-the same size, the last one filled up with zeros.
+A row's result is the same to the last bit whatever other rows are computed with it. BLAS does not give that: the order
+in which it sums depends on the number of rows, and on some processors on a row's place among them. So products are
+summed here, in the order of the inputs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 Float32Array = npt.NDArray[np.float32]
-
-BLOCK: Final = 32
-"""Rows of a product. A row alone costs as much as this many."""
 
 
 def rows_times(rows: Float32Array, weights: Float32Array) -> Float32Array:
@@ -32,12 +29,10 @@ def rows_times(rows: Float32Array, weights: Float32Array) -> Float32Array:
     Returns:
         Shape (batch, m).
     """
-    batch, width = rows.shape
-    blocks = -(-batch // BLOCK)
-    filled = np.zeros((blocks * BLOCK, width), dtype=np.float32)
-    filled[:batch] = rows
-    product = np.matmul(filled.reshape(blocks, BLOCK, width), weights)
-    return np.asarray(product.reshape(blocks * BLOCK, weights.shape[1])[:batch], dtype=np.float32)
+    product = np.zeros((len(rows), weights.shape[1]), dtype=np.float32)
+    for column, row in zip(rows.T, weights, strict=True):
+        product += column[:, None] * row
+    return product
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,22 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput
-from flora_lab.simulator.fast_tanh import fast_tanh
+from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
+from flora_lab.simulator.fast_lstm import MOST_CELLS, lstm_step
+from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, in_lanes, jit, lateness, length_of, points_lane, split
+from flora_lab.simulator.rod import (
+    CAPACITY,
+    LONGEST_STEP_H,
+    along,
+    elongate,
+    in_lanes,
+    jit,
+    lateness,
+    points_lane,
+    split,
+    whole_registers,
+)
 
 Array = npt.NDArray[Any]
 
@@ -52,85 +65,62 @@ TRAITS: Final = ("growth_early", "growth_late", "speed", "lean")
 
 _NODES: Final = np.array(NODES_CM)
 _COUNT: Final = len(NODES_CM)
+_ENDS: Final = np.array((*NODES_CM[1:], NODES_CM[-1] + FADE_CM))
+"""Where nodes end to count, from the tip."""
 _NO_TISSUE_CM: Final = 1e-3
 
 
-@jit
-def _place(d: float, start: int) -> tuple[int, float, float]:
-    """The node below a distance (from ``start`` on), and the weights of it and of the next."""
-    k = start
-    while k + 1 < _COUNT and _NODES[k + 1] <= d:
-        k += 1
-    if k + 1 < _COUNT:
-        share = (d - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
-        return k, 1.0 - share, share
-    return k, max(0.0, 1.0 - (d - _NODES[k]) / FADE_CM), 0.0
-
-
-@jit
-def _look(length: Array, angle: Array, n: int, total_cm: float, inputs: Array) -> None:
+@inlined
+def _look(length: Array, angle: Array, n: int, total_cm: float, told: Array) -> None:
     """Angles at the nodes, as means over the tissue round them, and the length."""
-    told, weight = np.zeros(_COUNT), np.zeros(_COUNT)
-    d, k = 0.0, 0
-    for j in range(n - 1, -1, -1):
-        middle = d + 0.5 * length[j]
-        d += length[j]
-        k, here, above = _place(middle, k)
-        told[k] += here * length[j] * angle[j]
-        weight[k] += here * length[j]
-        if above > 0.0:
-            told[k + 1] += above * length[j] * angle[j]
-            weight[k + 1] += above * length[j]
-    for i in range(_COUNT):
-        inputs[i] = ANGLE_SCALE * told[i] / (weight[i] + _NO_TISSUE_CM)
-    inputs[_COUNT] = (total_cm - LENGTH_MIDDLE_CM) / LENGTH_SCALE_CM
+    d, j = 0.0, n - 1
+    above_angle = above_cm = 0.0
+    for k in range(_COUNT):
+        # Tissue between this node and the next tells of both, the more the nearer it is.
+        here_angle, here_cm = above_angle, above_cm
+        above_angle = above_cm = 0.0
+        end, gap = _ENDS[k], _ENDS[k] - _NODES[k]
+        while j >= 0 and d + 0.5 * length[j] < end:
+            share = (d + 0.5 * length[j] - _NODES[k]) / gap
+            here, above = (1.0 - share) * length[j], share * length[j]
+            here_angle += here * angle[j]
+            here_cm += here
+            above_angle += above * angle[j]
+            above_cm += above
+            d += length[j]
+            j -= 1
+        told[k] = ANGLE_SCALE * here_angle / (here_cm + _NO_TISSUE_CM)
+    told[_COUNT] = (total_cm - LENGTH_MIDDLE_CM) / LENGTH_SCALE_CM
 
 
-@jit
-def _think(
-    inputs: Array, memory: Array, w_ih: Array, w_hh: Array, b: Array, w_out: Array, b_out: Array, out: Array
+@inlined
+def _bend(
+    angle: Array, n: int, arc: Array, reach: Array, total_cm: float, rates: Array, bias: float, dt_h: float
 ) -> None:
-    """One step of one member: h and c in ``memory``, outputs in ``out``; gates in the order i, f, g, o."""
-    hidden = memory.shape[1]
-    gates = b.copy()
-    for i in range(inputs.shape[0]):
-        for j in range(4 * hidden):
-            gates[j] += inputs[i] * w_ih[i, j]
-    for i in range(hidden):
-        h = np.float32(memory[0, i])
-        for j in range(4 * hidden):
-            gates[j] += h * w_hh[i, j]
-    half = np.float32(0.5)
-    for j in range(2 * hidden):
-        gates[j] = half + half * fast_tanh(half * gates[j])
-    for j in range(2 * hidden, 3 * hidden):
-        gates[j] = fast_tanh(gates[j])
-    for j in range(3 * hidden, 4 * hidden):
-        gates[j] = half + half * fast_tanh(half * gates[j])
-    for j in range(hidden):
-        c = gates[hidden + j] * np.float32(memory[1, j]) + gates[j] * gates[2 * hidden + j]
-        memory[1, j] = c
-        memory[0, j] = gates[3 * hidden + j] * fast_tanh(c)
-    out[:] = b_out
-    for i in range(hidden):
-        h = np.float32(memory[0, i])
-        for j in range(out.shape[0]):
-            out[j] += h * w_out[i, j]
-
-
-@jit
-def _bend(length: Array, angle: Array, n: int, total_cm: float, rates: Array, bias: float, dt_h: float) -> None:
-    d, turn = total_cm, 0.0
+    """Turn the segments; ``rates`` at the nodes, and behind them a zero."""
+    push = scratch(np.float64, CAPACITY)
+    if bias != 0.0:
+        for j in range(whole_registers(n)):
+            push[j] = bias * fast_exp((arc[j] - total_cm) / BIAS_FOLD_CM)
+    else:
+        for j in range(whole_registers(n)):
+            push[j] = 0.0
+    turn, k = 0.0, _COUNT - 1
     for j in range(n):
-        if d < _NODES[_COUNT - 1] + FADE_CM:
-            k, here, above = _place(d, 0)
-            rate = here * rates[k]
-            if above > 0.0:
-                rate += above * rates[k + 1]
-            reach = length[j] if j == 0 else 0.5 * (length[j] + length[j - 1])
-            turn += dt_h * reach * (RATE_PER_CM_H * rate + bias * np.exp(-d / BIAS_FOLD_CM))
+        d = total_cm - arc[j]
+        while k > 0 and d < _NODES[k]:
+            k -= 1
+        if d < _ENDS[k]:
+            share = (d - _NODES[k]) / (_ENDS[k] - _NODES[k])
+            rate = (1.0 - share) * rates[k] + share * rates[k + 1]
+            turn += dt_h * reach[j] * (RATE_PER_CM_H * rate + push[j])
         angle[j] += turn
-        d -= length[j]
+
+
+@inlined
+def _softplus(x: float) -> float:
+    """log(1 + exp(x))."""
+    return float(max(x, 0.0) + fast_log1p(fast_exp(-abs(x))))
 
 
 @jit
@@ -153,28 +143,31 @@ def step_lane(
 ) -> int:
     """One step of five minutes of one plant, in place; returns its number of segments."""
     members = w_ih.shape[0]
-    angles = np.zeros(_COUNT + 1)
-    inputs = np.zeros(INPUTS, dtype=np.float32)
-    said = np.zeros(OUTPUTS, dtype=np.float32)
-    rates = np.zeros(_COUNT)
-    speed, lean = np.exp(TRAIT_SHARE * traits[2]), np.exp(TRAIT_SHARE * traits[3])
-    total = length_of(length, n)
-    _look(length, angle, n, total, angles)
+    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    told, rates = scratch(np.float64, INPUTS), scratch(np.float64, INPUTS)
+    inputs, said = scratch(np.float32, INPUTS), scratch(np.float32, OUTPUTS)
+    speed, lean = fast_exp(TRAIT_SHARE * traits[2]), fast_exp(TRAIT_SHARE * traits[3])
+    total = along(length, n, arc, reach)
+    _look(length, angle, n, total, told)
     for i in range(_COUNT):
-        inputs[i] = angles[i] / lean
-    inputs[_COUNT] = angles[_COUNT]
+        inputs[i] = told[i] / lean
+    inputs[_COUNT] = told[_COUNT]
     inputs[_COUNT + 1], inputs[_COUNT + 2] = left, right
+    for i in range(_COUNT + 1):
+        rates[i] = 0.0
     grown = 0.0
     for m in range(members):
-        _think(inputs, memory[m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said)
+        lstm_step(inputs, memory[m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said)
         for i in range(_COUNT):
-            rates[i] += speed * lean * said[i] / members
-        grown += np.logaddexp(0.0, said[_COUNT] + GROWTH_OFFSET) / members
+            rates[i] += said[i]
+        grown += _softplus(said[_COUNT] + GROWTH_OFFSET)
+    for i in range(_COUNT):
+        rates[i] *= speed * lean / members
     late = lateness(total)
-    vigour = np.exp(TRAIT_SHARE * (traits[0] * (1.0 - late) + traits[1] * late))
-    grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth)
-    _bend(length, angle, n, total, rates, bias, STEP_H)
-    elongate(length, n, total, zone_cm, grown)
+    vigour = fast_exp(TRAIT_SHARE * (traits[0] * (1.0 - late) + traits[1] * late))
+    grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth) / members
+    _bend(angle, n, arc, reach, total, rates, bias, STEP_H)
+    elongate(length, n, arc, total, zone_cm, grown)
     return int(split(length, angle, n))
 
 
@@ -236,6 +229,7 @@ class NeuralLaw:
 
     Raises:
         ValueError: shapes that do not fit one another.
+        BadInput: more than :data:`MOST_CELLS` cells.
     """
 
     traits: Final = TRAITS
@@ -243,6 +237,8 @@ class NeuralLaw:
     def __init__(self, weights: Mapping[str, Array], zone_cm: float) -> None:
         self.weights = {name: np.ascontiguousarray(weights[name], dtype=np.float32) for name in WEIGHTS}
         members, hidden = self.weights["w_hh"].shape[:2]
+        if hidden > MOST_CELLS:
+            raise BadInput(f"a network of {hidden} cells per member; there is room for {MOST_CELLS}")
         for name, shape in weight_shapes(members, hidden).items():
             if self.weights[name].shape != shape:
                 raise ValueError(f"`{name}` is {self.weights[name].shape}; expected {shape}")

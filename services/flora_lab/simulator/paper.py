@@ -187,7 +187,7 @@ class PaperSimulator(Simulator[PaperState]):
             BadInput: ``dt_s`` is no multiple of ``step_s``, or not exactly one lamp is full on.
         """
         side = _boolean_light(light)
-        for _ in range(self._steps_in(dt_s)):
+        for _ in range(self.steps_in(dt_s)):
             inputs = np.concatenate([state.points, side], axis=1)
             points, memory = self.network(inputs, state.memory)
             state = PaperState(points, memory if self.stateful else None)
@@ -204,15 +204,20 @@ class PaperSimulator(Simulator[PaperState]):
         outside = (state.points < self.box.low) | (state.points > self.box.high)
         return np.asarray(outside.any(axis=1), dtype=np.bool_)
 
-    def _units(self, points_cm: FloatArray) -> Float32Array:
-        points = np.asarray(points_cm[:, 1:] / self.unit_cm, dtype=np.float32)
-        return points.reshape(-1, COORDINATES)
+    def steps_in(self, dt_s: float) -> int:
+        """How many of its own steps make ``dt_s``.
 
-    def _steps_in(self, dt_s: float) -> int:
+        Raises:
+            BadInput: ``dt_s`` is no multiple of ``step_s``.
+        """
         steps = round(dt_s / self.step_s) if math.isfinite(dt_s) else 0
         if steps < 1 or abs(dt_s - steps * self.step_s) > _STEP_TOLERANCE * dt_s:
             raise BadInput(f"a step of {dt_s:g} s; this simulator knows multiples of {self.step_s:g} s only")
         return steps
+
+    def _units(self, points_cm: FloatArray) -> Float32Array:
+        points = np.asarray(points_cm[:, 1:] / self.unit_cm, dtype=np.float32)
+        return points.reshape(-1, COORDINATES)
 
 
 def _boolean_light(light: FloatArray) -> Float32Array:

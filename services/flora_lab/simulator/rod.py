@@ -14,10 +14,15 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from flora_lab.simulator.fast_functions import fast_exp, fast_sincos, inlined
+from flora_lab.simulator.fast_scratch import scratch
+
 Array = npt.NDArray[Any]
 
 CAPACITY: Final = 96
 """Segments that a lane has room for; when they are used up, segments grow longer instead of being split."""
+REGISTER: Final = 8
+"""Numbers in the widest SIMD register. Lanes have room for whole ones, so that no loop has to end within one."""
 LONG_SEGMENT_CM: Final = 0.7
 ZONE_EDGE_CM: Final = 0.5
 LONGEST_STEP_H: Final = 300.0 / 3600.0
@@ -69,26 +74,67 @@ def lateness(total_cm: float) -> float:
     return float(min(max((total_cm - EARLY_CM) / (LATE_CM - EARLY_CM), 0.0), 1.0))
 
 
-@jit
-def elongate(length: Array, n: int, total_cm: float, zone_cm: float, grown_cm: float) -> None:
-    """Let the stem grow by ``grown_cm``, all of it in the zone below the tip."""
-    below_tip = total_cm
+@inlined
+def whole_registers(n: int) -> int:
+    """Segments of the registers that hold ``n``; what is computed of those beyond is not used."""
+    return (n + REGISTER - 1) & -REGISTER
+
+
+@inlined
+def along(length: Array, n: int, arc: Array, reach: Array) -> float:
+    """Length of the whole stem, cm, as :func:`length_of`.
+
+    Also written, for each segment: ``arc``, the length of the stem below it, and ``reach``, how much stem its lower
+    joint stands for, cm: half of the two segments that meet there; at the anchor, the first segment.
+    """
+    total, below_cm = 0.0, length[0]
+    for j in range(n):
+        arc[j] = total
+        reach[j] = 0.5 * (length[j] + below_cm)
+        total += length[j]
+        below_cm = length[j]
+    for j in range(n, whole_registers(n)):
+        arc[j] = reach[j] = 0.0
+    return float(total)
+
+
+@inlined
+def directions(length: Array, angle: Array, n: int, sin: Array, cos: Array, x: Array, y: Array) -> None:
+    """Write the sine and cosine of each segment's angle, and where its upper end is, cm."""
+    for j in range(whole_registers(n)):
+        sin[j], cos[j] = fast_sincos(angle[j])
+        x[j], y[j] = sin[j] * length[j], cos[j] * length[j]
+    end_x = end_y = 0.0
+    for j in range(n):
+        end_x += x[j]
+        end_y += y[j]
+        x[j], y[j] = end_x, end_y
+
+
+@inlined
+def elongate(length: Array, n: int, arc: Array, total_cm: float, zone_cm: float, grown_cm: float) -> None:
+    """Let the stem grow by ``grown_cm``, all of it in the zone below the tip; ``arc`` as :func:`along` wrote it."""
+    share = scratch(np.float64, CAPACITY)
+    zone_at_cm = total_cm - zone_cm
+    for j in range(whole_registers(n)):
+        middle_cm = arc[j] + 0.5 * length[j]
+        share[j] = length[j] / (1.0 + fast_exp((zone_at_cm - middle_cm) / ZONE_EDGE_CM))
     whole = 0.0
     for j in range(n):
-        middle = below_tip - 0.5 * length[j]
-        whole += length[j] / (1.0 + np.exp(min((middle - zone_cm) / ZONE_EDGE_CM, 60.0)))
-        below_tip -= length[j]
-    below_tip = total_cm
+        whole += share[j]
+    rate = grown_cm / whole
     for j in range(n):
-        old = length[j]
-        share = old / (1.0 + np.exp(min((below_tip - 0.5 * old - zone_cm) / ZONE_EDGE_CM, 60.0)))
-        length[j] = old + grown_cm * share / whole
-        below_tip -= old
+        length[j] += rate * share[j]
 
 
 @jit
 def split(length: Array, angle: Array, n: int) -> int:
     """Cut long segments in two of the same direction; returns the number of segments."""
+    long = 0
+    for j in range(n):
+        long += length[j] > LONG_SEGMENT_CM
+    if long == 0:
+        return n
     j = 0
     while j < n:
         if length[j] > LONG_SEGMENT_CM and n < length.shape[0]:
@@ -105,25 +151,19 @@ def split(length: Array, angle: Array, n: int) -> int:
 @jit
 def points_lane(length: Array, angle: Array, n: int, out: Array) -> None:
     """Ten points at even heights from anchor to tip; the convention of ``geometry.resample_by_height``."""
-    xs, ys = np.zeros(n + 1), np.zeros(n + 1)
-    for j in range(n):
-        xs[j + 1] = xs[j] + np.sin(angle[j]) * length[j]
-        ys[j + 1] = ys[j] + np.cos(angle[j]) * length[j]
-    count = out.shape[0]
+    sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    directions(length, angle, n, sin, cos, x, y)
+    last = out.shape[0] - 1
     out[0, 0] = out[0, 1] = 0.0
-    out[count - 1, 0], out[count - 1, 1] = xs[n], ys[n]
-    for i in range(1, count - 1):
-        height = ys[n] * i / (count - 1)
+    out[last, 0], out[last, 1] = x[n - 1], y[n - 1]
+    # A stem comes to no height before those between it and the anchor: the search goes on where it stopped.
+    k, low_x, low_y = 0, 0.0, 0.0
+    for i in range(1, last):
+        height = y[n - 1] * i / last
+        while k < n and not (low_y <= height < y[k] or low_y >= height > y[k]):
+            low_x, low_y = x[k], y[k]
+            k += 1
         out[i, 1] = height
-        nearest, gap = 0, np.inf
-        found = False
-        for k in range(n):
-            low, high = ys[k] - height, ys[k + 1] - height
-            if (low <= 0.0 < high) or (low >= 0.0 > high):
-                out[i, 0] = xs[k] + low / (low - high) * (xs[k + 1] - xs[k])
-                found = True
-                break
-            if abs(low) < gap:
-                nearest, gap = k, abs(low)
-        if not found:
-            out[i, 0] = xs[nearest]
+        # Only a stem of no height, or one that is not finite, never comes to it.
+        out[i, 0] = low_x + (low_y - height) / (low_y - y[k]) * (x[k] - low_x) if k < n else 0.0

@@ -23,8 +23,22 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.runs import LampsSection
+from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
+from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import LONGEST_STEP_H, elongate, in_lanes, jit, lateness, length_of, points_lane, split
+from flora_lab.simulator.rod import (
+    CAPACITY,
+    LONGEST_STEP_H,
+    along,
+    directions,
+    elongate,
+    in_lanes,
+    jit,
+    lateness,
+    points_lane,
+    split,
+    whole_registers,
+)
 from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
@@ -34,46 +48,55 @@ LIGHT_HALF: Final = 0.02
 """Light, relative to one full lamp at the anchor, at which the logarithmic response sets in."""
 _RESPONSE: Final = float(np.log1p(1.0 / LIGHT_HALF))
 _NO_RESPONSE: Final = 1e-5
+_DARK: Final = 1e-9
+_NEAREST_CM: Final = 5.0
+"""A lamp gets no brighter when a stem comes nearer than that."""
 
 GROWTH_EARLY, GROWTH_LATE, GROWTH_ZONE, STIFFENING, MATURE, PHOTO, GRAVI, PROPRIO, LATENCY = range(9)
 """Columns of the constants; what they are stands in :mod:`flora_lab.simulator.tropism_traits`."""
 
 
-@jit
+@inlined
 def _see(seen: Array, left: float, right: float, latency_min: float, dt_h: float) -> None:
     """Two stages of delay behind the logarithm of brightness; ``seen`` is (stage, lamp)."""
-    gain = -np.expm1(-dt_h * 120.0 / latency_min)
+    gain = 1.0 - fast_exp(-dt_h * 120.0 / latency_min)
     for lamp in range(2):
         level = left if lamp == 0 else right
-        seen[0, lamp] += gain * (np.log1p(level / LIGHT_HALF) / _RESPONSE - seen[0, lamp])
+        seen[0, lamp] += gain * (fast_log1p(level / LIGHT_HALF) / _RESPONSE - seen[0, lamp])
         seen[1, lamp] += gain * (seen[0, lamp] - seen[1, lamp])
 
 
-@jit
+@inlined
+def _acting(seen: float) -> float:
+    """The level of a lamp that acts, from the logarithm that is seen."""
+    level = LIGHT_HALF * (fast_exp(seen * _RESPONSE) - 1.0)
+    return float(level) if level > _DARK else 0.0
+
+
+@inlined
 def _light_across(x: float, y: float, sin: float, cos: float, left: float, right: float, lamps_cm: Array) -> float:
     """S * l_n at a place, for the levels that act."""
-    fx = fy = 0.0
-    reference2 = lamps_cm[0] ** 2 + lamps_cm[1] ** 2
-    for lamp in range(2):
-        level = left if lamp == 0 else right
-        if level > 1e-9:
-            rx = (-lamps_cm[0] if lamp == 0 else lamps_cm[0]) - x
-            ry = lamps_cm[1] - y
-            r2 = max(rx * rx + ry * ry, 25.0)
-            share = reference2 * level / (r2 * np.sqrt(r2))
-            fx += rx * share
-            fy += ry * share
+    up = lamps_cm[1] - y
+    to_left, to_right = -lamps_cm[0] - x, lamps_cm[0] - x
+    left_2 = max(to_left * to_left + up * up, _NEAREST_CM**2)
+    right_2 = max(to_right * to_right + up * up, _NEAREST_CM**2)
+    left_3, right_3 = left_2 * np.sqrt(left_2), right_2 * np.sqrt(right_2)
+    # The light times the cubes of both distances: they fall out of its direction.
+    by_left, by_right = left * right_3, right * left_3
+    fx, fy = to_left * by_left + to_right * by_right, up * (by_left + by_right)
     size = np.sqrt(fx * fx + fy * fy)
-    if size < 1e-9:
-        return 0.0
-    return float(np.log1p(size / LIGHT_HALF) / _RESPONSE * (fx * cos - fy * sin) / size)
+    brightness = (lamps_cm[0] ** 2 + lamps_cm[1] ** 2) * size / (left_3 * right_3)
+    across = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE * (fx * cos - fy * sin) / size
+    return 0.0 if brightness < _DARK else float(across)
 
 
-@jit
+@inlined
 def _bend(
     length: Array,
     angle: Array,
     n: int,
+    arc: Array,
+    reach: Array,
     total_cm: float,
     seen: Array,
     p: Array,
@@ -81,23 +104,26 @@ def _bend(
     bias: float,
     dt_h: float,
 ) -> None:
-    left = LIGHT_HALF * np.expm1(seen[1, 0] * _RESPONSE)
-    right = LIGHT_HALF * np.expm1(seen[1, 1] * _RESPONSE)
-    x = y = arc = turn = below = below_cm = 0.0
+    sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    soft, pull = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    left, right = _acting(seen[1, 0]), _acting(seen[1, 1])
+    directions(length, angle, n, sin, cos, x, y)
+    for j in range(whole_registers(n)):
+        d = total_cm - arc[j]
+        share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / MATURE_EDGE_CM))
+        soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
+    for j in range(whole_registers(n)):
+        stimulus = (
+            p[PHOTO] * _light_across(x[j], y[j], sin[j], cos[j], left, right, lamps_cm) - p[GRAVI] * sin[j] + bias
+        )
+        pull[j] = reach[j] * stimulus
+    turn = below = 0.0
     for j in range(n):
-        sin, cos = np.sin(angle[j]), np.cos(angle[j])
-        x += sin * length[j]
-        y += cos * length[j]
-        d = total_cm - arc
         old = angle[j]
-        soft = np.exp(-d / p[STIFFENING]) / (1.0 + np.exp(min((d - p[MATURE]) / MATURE_EDGE_CM, 60.0)))
-        if soft > _NO_RESPONSE:
-            reach = length[j] if j == 0 else 0.5 * (length[j] + below_cm)
-            stimulus = p[PHOTO] * _light_across(x, y, sin, cos, left, right, lamps_cm) - p[GRAVI] * sin + bias
-            turn += soft * dt_h * (reach * stimulus - p[PROPRIO] * (old - below))
+        turn += soft[j] * (pull[j] - p[PROPRIO] * (old - below))
         angle[j] = old + turn
-        below, below_cm = old, length[j]
-        arc += length[j]
+        below = old
 
 
 @jit
@@ -121,10 +147,11 @@ def step_lane(
     dt_h: float,
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
-    total = length_of(length, n)
+    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
-    _bend(length, angle, n, total, seen, p, lamps_cm, bias, dt_h)
-    elongate(length, n, total, p[GROWTH_ZONE], max(0.0, growth) * _growth_cm_per_h(total, p) * dt_h)
+    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, bias, dt_h)
+    elongate(length, n, arc, total, p[GROWTH_ZONE], max(0.0, growth) * _growth_cm_per_h(total, p) * dt_h)
     return int(split(length, angle, n))
 
 

@@ -1,0 +1,41 @@
+"""Small arrays on the stack of a compiled function.
+
+They cost nothing, and the compiler knows that they overlap with nothing, without which it does not turn loops over
+several of them into SIMD code.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
+
+_REGISTER_BYTES: Final = 64
+
+
+def _scratch(_typing: Any, dtype: Any, size: Any) -> tuple[Any, Any]:
+    array = types.Array(dtype.dtype, 1, "C")
+    room = size.literal_value
+
+    def code(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        number = context.get_data_type(array.dtype)
+        data = cgutils.alloca_once(builder, number, size=room)  # type: ignore[no-untyped-call]
+        data.align = _REGISTER_BYTES
+        bytes_each = context.get_constant(types.intp, context.get_abi_sizeof(number))
+        shape = [context.get_constant(types.intp, room)]
+        made = make_array(array)(context, builder)  # type: ignore[no-untyped-call]
+        strides = [bytes_each]
+        populate_array(made, data, shape, strides, bytes_each, None)  # type: ignore[no-untyped-call]
+        return made._getvalue()
+
+    return array(dtype, size), code
+
+
+scratch: Any = intrinsic(prefer_literal=True)(_scratch)
+"""For compiled functions: ``scratch(np.float64, SIZE)`` is an array of SIZE numbers; SIZE is a constant of the module.
+
+It lives as long as the function that asks for it, and must not be returned. What is in it at first is not defined.
+Asked for in a loop, it is the same one each time.
+"""
