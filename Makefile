@@ -7,9 +7,11 @@ STAMP  := $(VENV)/.extras-$(subst $(comma),-,$(EXTRAS))
 SEED   ?= 1
 BENCH_VENV := .venv-bench
 KERAS_VENV := .venv-bench-keras
+CLUSTER_VENV := .venv-cluster
 SPEED  ?= lockstep
+SCALE  ?= small
 
-.PHONY: help setup demo deploy test test-slow lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training pins clean
+.PHONY: help setup demo deploy test test-slow test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training paper pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -31,6 +33,14 @@ test: setup  ## run the tests
 
 test-slow: setup  ## the tests that take minutes
 	@$(BIN)/python -m pytest -m slow
+
+test-cluster: $(CLUSTER_VENV)/.made  ## evolution on several Ray nodes of this machine, one of which is killed
+	@$(CLUSTER_VENV)/bin/python -m pytest tests/lab/test_evolve_cluster.py tests/lab/test_evolve_crew_on_ray.py
+
+# Ray is for those who have many machines.
+$(CLUSTER_VENV)/.made: pyproject.toml deploy/constraints.txt deploy/make-venv.sh
+	@deploy/make-venv.sh $(CLUSTER_VENV) rig,lab,cluster,dev
+	@touch $@
 
 lint: setup  ## format, lint, types, import contracts
 	@$(BIN)/ruff format --check --quiet . && echo "ok  format"
@@ -75,9 +85,12 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 	@$(KERAS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
 
+paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
+	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper
+
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
 	@{ echo "# The versions that flora is tested with, all extras. \`make pins\` writes it from an environment that has them all."; \
 	   $(BIN)/python -m pip freeze --exclude-editable; } > deploy/constraints.txt
 
 clean:  ## remove the environment and all results
-	rm -rf $(VENV) $(BENCH_VENV) $(KERAS_VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(BENCH_VENV) $(KERAS_VENV) $(CLUSTER_VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -11,6 +11,8 @@ import typer
 from flora_common.cli import print_version, run_typer
 from flora_lab.dataset import command as dataset
 from flora_lab.evaluate import command as evaluate
+from flora_lab.evolve import command as evolve
+from flora_lab.paper import command as paper
 from flora_lab.publish import command as publish
 from flora_lab.publish import signing_command as signing
 from flora_lab.report import command as report
@@ -19,7 +21,7 @@ from flora_lab.track import command as track
 from flora_lab.train import command as train
 
 PROGRAM: Final = "flora-lab"
-SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evaluate, signing, publish)
+SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evolve, evaluate, paper, signing, publish)
 
 
 def build_app() -> typer.Typer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -80,6 +81,22 @@ def _genome(config: Any, key: int, mutations: int, steering: bool) -> Any:
             gene = genome.create_connection(config.genome_config, *link, 10_000 + link[0])
             gene.weight, gene.enabled = weight, True
             genome.connections[link] = gene
+    return genome
+
+
+def overflowing(config: Any) -> Any:
+    """Five nodes in a row, each the cube of the one before: beyond all numbers."""
+    (genome,) = random_genomes(1, 1, config, mutations=0)
+    genome.connections.clear()
+    keys = [-1, 101, 102, 103, 104, 105, 0]
+    for number, (source, target) in enumerate(pairwise(keys)):
+        if target:
+            genome.nodes[target] = genome.create_node(config.genome_config, target)
+        genome.nodes[target].activation, genome.nodes[target].aggregation = "cube", "sum"
+        genome.nodes[target].bias = genome.nodes[target].response = 30.0
+        gene = genome.create_connection(config.genome_config, source, target, 20_000 + number)
+        gene.weight, gene.enabled = 30.0, True
+        genome.connections[source, target] = gene
     return genome
 
 

@@ -346,3 +346,15 @@ def test_plants_differ_and_every_controller_meets_the_same() -> None:
 def test_fewer_than_no_plants_are_refused(count: int, seed: int) -> None:
     with pytest.raises(BadInput, match="both must be 0 or above"):
         Individuals(count, seed)
+
+
+def test_a_collision_is_worth_no_more_than_the_task_says() -> None:
+    bound = replace(LEFT, collision_at_most=0.1)
+    as_in_paper, less = (run_episodes([ALWAYS_LEFT, UPRIGHT], fast(), task) for task in (LEFT, bound))
+    touched = as_in_paper.reason == REASONS.index("collision")
+    assert touched.any()
+    assert not touched.all()
+    assert np.array_equal(less.fitness, np.where(touched, np.minimum(as_in_paper.fitness, 0.1), as_in_paper.fitness))
+    assert (less.fitness < as_in_paper.fitness).any()
+    course = run_episode(ALWAYS_LEFT, fast(), bound, bound.scenarios[2])
+    assert (course.reason, course.fitness) == ("collision", less.fitness[0, 2, 0])

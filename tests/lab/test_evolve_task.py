@@ -19,6 +19,7 @@ SLALOM = """
 name = "slalom"
 hours = 48.0
 stop_height_cm = 19.0
+collision_at_most = 0.5
 
 [start]
 height_cm = 5.0
@@ -89,6 +90,7 @@ def test_an_own_task_is_read_whole(tmp_path: Path) -> None:
     task = read_task(written(tmp_path, SLALOM))
 
     assert (task.name, task.hours, task.stop_height_cm, task.most_steps) == ("slalom", 48.0, 19.0, 576)
+    assert task.collision_at_most == 0.5
     assert task.start_cm == straight_stem(5.0, -0.5)
     assert task.scenarios == (
         Scenario("near", Target(4.0, 16.0, 1.5), Obstacle(3.0, 9.0)),

@@ -137,7 +137,7 @@ def run_episode(
         state, points = simulator.step(state, _SIDES[[int(output > LEFT_AT_MOST)]], STEP_S)
         stems.append(points[0])
     told = np.array(outputs)
-    fitness = _fitness(stems[-1], scenario.target, reason)
+    fitness = _fitness(stems[-1], scenario.target, task, reason)
     return Course(scenario, np.stack(stems), told, told > LEFT_AT_MOST, reason, fitness)
 
 
@@ -158,9 +158,24 @@ def _answer(controller: Controller, stem_cm: FloatArray, scenario: Scenario) -> 
     return output if np.isfinite(output) else None
 
 
-def _fitness(stem_cm: FloatArray, target: Target, reason: Reason) -> float:
+def _fitness(stem_cm: FloatArray, target: Target, task: Task, reason: Reason) -> float:
     fitness = geometry.fitness(float(stem_cm[-1, 0]), float(stem_cm[-1, 1]), target)
-    return min(fitness, NO_ANSWER_FITNESS) if reason == "no answer" else fitness
+    return float(scored(task, np.array(fitness), np.array(REASONS.index(reason))))
+
+
+def scored(task: Task, fitness: FloatArray, reason: Array) -> FloatArray:
+    """What runs are worth.
+
+    Args:
+        task: says what a collision may be worth.
+        fitness: of the tips at the end, any shape.
+        reason: place in :data:`REASONS`, the same shape.
+    """
+    most = np.full(len(REASONS), np.inf)
+    most[NO_ANSWER] = NO_ANSWER_FITNESS
+    if task.collision_at_most is not None:
+        most[COLLISION] = task.collision_at_most
+    return np.asarray(np.minimum(fitness, most[reason]))
 
 
 def _check_finite(stems_cm: FloatArray, task: Task, scenario: Scenario, steps: int) -> None:
@@ -238,7 +253,7 @@ def _side_by_side(
             else:
                 right[lane] = output > LEFT_AT_MOST
         ended = running[reason != _RUNNING]
-        _write(ended, reason[reason != _RUNNING], k, stems[ended, -1], arrays.targets, lanes, out)
+        _write(ended, reason[reason != _RUNNING], k, stems[ended, -1], task, lanes, out)
         running = running[reason == _RUNNING]
         if not len(running):
             return
@@ -247,9 +262,9 @@ def _side_by_side(
 
 
 def _write(
-    ended: Array, reason: Array, steps: int, tips_cm: FloatArray, targets: FloatArray, lanes: Array, out: Outcomes
+    ended: Array, reason: Array, steps: int, tips_cm: FloatArray, task: Task, lanes: Array, out: Outcomes
 ) -> None:
     at = tuple(lanes[ended].T)
-    fitness = scenario_batch.fitness(tips_cm, targets[lanes[ended, 1]])
-    out.fitness[at] = np.where(reason == NO_ANSWER, np.minimum(fitness, NO_ANSWER_FITNESS), fitness)
+    targets = scenario_batch.arrays_of(task).targets
+    out.fitness[at] = scored(task, scenario_batch.fitness(tips_cm, targets[lanes[ended, 1]]), reason)
     out.reason[at], out.steps[at], out.tip_cm[at] = reason, steps, tips_cm

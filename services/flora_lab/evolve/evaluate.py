@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.controller_file import LEFT_AT_MOST
 from flora_common.errors import BadInput
-from flora_common.runs import LampsSection
-from flora_lab.evolve import scenario_batch
-from flora_lab.evolve.controllers import INPUTS
-from flora_lab.evolve.episode import Outcomes
+from flora_lab.evolve.episode import Outcomes, scored
+from flora_lab.evolve.genome_activate import networks_of
 from flora_lab.evolve.genome_arrays import GenomeArrays
-from flora_lab.evolve.shared_kernel import NOT_FINITE, run_shared
+from flora_lab.evolve.genome_decide import LANES
+from flora_lab.evolve.individuals import Individuals
+from flora_lab.evolve.plant_looks import NOT_FINITE, scenarios_of
+from flora_lab.evolve.plants_kinds import plants_of
+from flora_lab.evolve.shared_kernel import Episodes, run_shared
 from flora_lab.evolve.task import Task
-from flora_lab.simulator.growing import GrowingSimulator
-from flora_lab.simulator.law import standing
-from flora_lab.simulator.neural_law import TRAITS, NeuralLaw, weight_shapes
-from flora_lab.simulator.tropism import TropismLaw
+from flora_lab.simulator.interface import Simulator
 
 Array = npt.NDArray[Any]
+
+TYPICAL: Final = Individuals()
+"""No plant is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,96 +34,78 @@ class Evaluated:
     """A generation's episodes.
 
     Attributes:
-        outcomes: shapes (genomes, scenarios, 1).
+        outcomes: shapes (genomes, scenarios, plants).
         steps_run: of plants, those that several episodes share counted once.
     """
 
     outcomes: Outcomes
     steps_run: int
 
+    @property
+    def episode_steps(self) -> int:
+        """Of all episodes, as if each had its own plant."""
+        return int(self.outcomes.steps.sum())
 
-def evaluate(genomes: GenomeArrays, simulator: GrowingSimulator, task: Task, *, share: bool = True) -> Evaluated:
-    """Every genome in every scenario on the typical plant, as :func:`flora_lab.evolve.episode.run_episodes` does it.
+
+def evaluate(
+    genomes: GenomeArrays,
+    simulator: Simulator[Any],
+    task: Task,
+    individuals: Individuals = TYPICAL,
+    *,
+    share: bool = True,
+    threads: int = 1,
+) -> Evaluated:
+    """Every genome in every scenario on every plant, as :func:`flora_lab.evolve.episode.run_episodes` does it.
+
+    Growing simulators give the same to the last bit; the paper's the same but for rounding.
 
     Args:
         genomes: with the 26 inputs of :data:`flora_lab.evolve.controllers.INPUTS` and one output.
-        simulator: either law.
+        simulator: of any kind of :mod:`flora_lab.evolve.plants_kinds`.
         task: scenarios, start and end.
+        individuals: the plants; the typical one where nothing is said.
         share: simulate a plant that several episodes have in common once; the results are the same without it.
+        threads: how many to use. Each takes some of the genomes, and only those share plants; the results are the same.
 
     Raises:
-        BadInput: a simulator of a law that has no compiled form, or that gives a stem that is not finite.
+        BadInput: a simulator of a kind that has no compiled form or no individuals, or that gives a stem that is not
+            finite.
+        ValueError: no thread.
     """
-    law = simulator.law
-    count, scenarios = len(genomes), len(task.scenarios)
-    start = standing(law, task.start_stem_cm[None])
-    rows = count * scenarios + 1
-    length, angle, segments = (np.repeat(part, rows, axis=0) for part in (start.length, start.angle, start.count))
-    none = np.zeros((rows, 0, 2))
-    seen, hidden = none, np.zeros((rows, 0, 2, 0))
-    constants, lamps, traits = np.zeros(0), LampsSection(), np.zeros(len(TRAITS))
-    weights = {name: np.zeros(shape, np.float32) for name, shape in weight_shapes(0, 0).items()}
-    zone_cm = 0.0
-    if isinstance(law, NeuralLaw):
-        hidden, weights, zone_cm, traits = (
-            np.repeat(start.memory, rows, axis=0),
-            law.weights,
-            law.zone_cm,
-            simulator.prior.mean,
-        )
-    elif isinstance(law, TropismLaw):
-        seen, constants, lamps = np.repeat(start.memory, rows, axis=0), np.exp(simulator.prior.mean), law.lamps
+    if threads < 1:
+        raise ValueError(f"{threads} threads")
+    seeds: Sequence[int | None] = individuals.seeds() or [None]
+    episodes = _room(len(seeds), len(genomes), task)
+    scenarios = scenarios_of(task)
+    ends = np.linspace(0, len(genomes), min(threads, max(len(genomes), 1)) + 1).astype(int).tolist()
+    parts = [(first, end) for first, end in pairwise(ends) if end > first]
+
+    def run(plant: int, first: int, end: int) -> int:
+        plants = plants_of(simulator, task, seeds[plant], (end - first) * len(task.scenarios))
+        part = Episodes(*(array[plant, first:end] for array in episodes))
+        slots = np.zeros((LANES, genomes.slots))
+        return int(run_shared(networks_of(genomes, first, end), scenarios, plants, part, slots, share))
+
+    jobs = [(plant, *part) for plant in range(len(seeds)) for part in parts]
+    if threads == 1:
+        steps_run = sum(run(*job) for job in jobs)
     else:
-        raise BadInput(f"a simulator of kind `{simulator.kind}` has no compiled law; choose another one")
-    arrays = scenario_batch.arrays_of(task)
-    shape = (count, scenarios)
-    out = Outcomes(
+        with ThreadPoolExecutor(threads) as pool:
+            steps_run = sum(pool.map(lambda job: run(*job), jobs))
+    if (episodes.reason == NOT_FINITE).any():
+        raise BadInput(f"the simulator gives a stem that is not finite, task {task.name}; train it again")
+    episodes.fitness[:] = scored(task, episodes.fitness, episodes.reason)
+    return Evaluated(Outcomes(*(np.moveaxis(array, 0, 2) for array in episodes)), steps_run)
+
+
+def _room(plants: int, genomes: int, task: Task) -> Episodes:
+    """For the outcomes of all, the plant first: what one pass of the loop writes is in one piece."""
+    shape = (plants, genomes, len(task.scenarios))
+    return Episodes(
         np.full(shape, np.nan),
         np.full(shape, -1, dtype=np.int8),
         np.zeros(shape, dtype=np.int64),
         np.empty((*shape, 2)),
         np.zeros((*shape, task.most_steps), dtype=np.bool_),
     )
-    steps_run = run_shared(
-        genomes.node_start,
-        genomes.bias,
-        genomes.response,
-        genomes.activation,
-        genomes.aggregation,
-        genomes.edge_start,
-        genomes.source,
-        genomes.weight,
-        genomes.output,
-        np.array([entry.offset for entry in INPUTS], dtype=np.float64),
-        np.array([entry.scale for entry in INPUTS], dtype=np.float64),
-        np.empty(genomes.slots),
-        arrays.edges,
-        arrays.targets,
-        task.stop_height_cm,
-        LEFT_AT_MOST,
-        share,
-        isinstance(law, NeuralLaw),
-        length,
-        angle,
-        segments,
-        seen,
-        hidden,
-        traits,
-        constants,
-        np.array([lamps.distance_cm, lamps.height_cm]),
-        weights["w_ih"],
-        weights["w_hh"],
-        weights["b"],
-        weights["w_out"],
-        weights["b_out"],
-        zone_cm,
-        out.fitness,
-        out.reason,
-        out.steps,
-        out.tip_cm,
-        out.is_right,
-    )
-    if (out.reason == NOT_FINITE).any():
-        raise BadInput(f"the simulator gives a stem that is not finite, task {task.name}; train it again")
-    one_plant = (np.expand_dims(part, 2) for part in (out.fitness, out.reason, out.steps, out.tip_cm, out.is_right))
-    return Evaluated(Outcomes(*one_plant), int(steps_run))

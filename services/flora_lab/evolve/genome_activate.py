@@ -6,7 +6,7 @@ Source of the functions: neat-python 2.0.0, ``neat/activations.py`` and ``neat/a
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,42 @@ _SELU_LAMBDA: Final = 1.0507009873554804934193349852946
 _SELU_ALPHA: Final = 1.6732632423543772848170429916717
 
 
+class Networks(NamedTuple):
+    """Some networks of a :class:`flora_lab.evolve.genome_arrays.GenomeArrays`, as compiled code takes them.
+
+    Attributes:
+        node_start: of these networks and the end of the last one, shape (G + 1,).
+        output: of these networks, shape (G, number of outputs).
+        bias, response, activation, aggregation, edge_start, source, weight: of all networks.
+    """
+
+    node_start: Array
+    output: Array
+    bias: Array
+    response: Array
+    activation: Array
+    aggregation: Array
+    edge_start: Array
+    source: Array
+    weight: Array
+
+
+def networks_of(arrays: GenomeArrays, first: int = 0, end: int | None = None) -> Networks:
+    """The networks from ``first`` to ``end``; all where nothing is said."""
+    last = len(arrays) if end is None else end
+    return Networks(
+        arrays.node_start[first : last + 1],
+        arrays.output[first:last],
+        arrays.bias,
+        arrays.response,
+        arrays.activation,
+        arrays.aggregation,
+        arrays.edge_start,
+        arrays.source,
+        arrays.weight,
+    )
+
+
 def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
     """Ask every network.
 
@@ -48,37 +84,12 @@ def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
     if values.shape not in ((arrays.inputs,), (len(arrays), arrays.inputs)):
         raise ValueError(f"inputs of shape {values.shape} for {len(arrays)} networks of {arrays.inputs} inputs")
     values = np.ascontiguousarray(np.broadcast_to(values, (len(arrays), arrays.inputs)))
-    return np.asarray(
-        _activate_all(
-            values,
-            arrays.node_start,
-            arrays.bias,
-            arrays.response,
-            arrays.activation,
-            arrays.aggregation,
-            arrays.edge_start,
-            arrays.source,
-            arrays.weight,
-            arrays.output,
-            np.empty(arrays.slots),
-        )
-    )
+    return np.asarray(_activate_all(values, networks_of(arrays), np.empty(arrays.slots)))
 
 
 @jit
-def _activate_all(
-    inputs: Array,
-    node_start: Array,
-    bias: Array,
-    response: Array,
-    activation: Array,
-    aggregation: Array,
-    edge_start: Array,
-    source: Array,
-    weight: Array,
-    output: Array,
-    slots: Array,
-) -> Array:
+def _activate_all(inputs: Array, networks: Networks, slots: Array) -> Array:
+    output = networks.output
     answers = np.empty(output.shape)
     width = inputs.shape[1]
     for g in range(len(inputs)):
@@ -87,36 +98,24 @@ def _activate_all(
             slots[i] = inputs[g, i]
             # written so that NaN fails it too
             is_sound = is_sound and abs(inputs[g, i]) <= MAX_NUMBER
-        is_sound = is_sound and fill_slots(
-            g, width, node_start, bias, response, activation, aggregation, edge_start, source, weight, slots
-        )
+        is_sound = is_sound and _fill_slots(g, width, networks, slots)
         for o in range(output.shape[1]):
             answers[g, o] = slots[output[g, o]] if is_sound else np.nan
     return answers
 
 
 @jit
-def fill_slots(
-    g: int,
-    inputs: int,
-    node_start: Array,
-    bias: Array,
-    response: Array,
-    activation: Array,
-    aggregation: Array,
-    edge_start: Array,
-    source: Array,
-    weight: Array,
-    slots: Array,
-) -> bool:
+def _fill_slots(g: int, inputs: int, networks: Networks, slots: Array) -> bool:
     """Evaluate network g, whose inputs stand in the first slots; False as soon as a node is not finite."""
-    for n in range(node_start[g], node_start[g + 1]):
-        gathered = aggregate(aggregation[n], slots, source, weight, edge_start[n], edge_start[n + 1])
-        before = bias[n] + response[n] * gathered
-        value = activation_value(activation[n], before)
+    first = networks.node_start[g]
+    for n in range(first, networks.node_start[g + 1]):
+        start, end = networks.edge_start[n], networks.edge_start[n + 1]
+        gathered = aggregate(networks.aggregation[n], slots, networks.source, networks.weight, start, end)
+        before = networks.bias[n] + networks.response[n] * gathered
+        value = activation_value(networks.activation[n], before)
         if not (np.isfinite(before) and np.isfinite(value)):
             return False
-        slots[inputs + n - node_start[g]] = value
+        slots[inputs + n - first] = value
     return True
 
 

@@ -4,263 +4,224 @@ A plant does not care which network switched its lamps. All controllers start wi
 two of them have switched alike, in whatever scenario, they look at one and the same plant: it is simulated once. Where
 the controllers of one plant disagree it becomes two. Results are those of every episode simulated alone, to the bit.
 
-It holds for a plant that is determined by its light: the typical plant, or one that was drawn, without drives.
+It holds for a plant that is determined by its light: the typical plant, or one that was drawn together with all that
+happens to it by chance.
+
+Plants in use stand in the first rows, so that their arithmetic can go over them side by side; the last one moves to the
+row of a plant that nobody looks at any more. There are never more plants than episodes that go on.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.network import MAX_NUMBER
-from flora_lab.evolve.episode import COLLISION, HEIGHT, NO_ANSWER, NO_ANSWER_FITNESS, REASONS, TIME
-from flora_lab.evolve.genome_activate import fill_slots
-from flora_lab.evolve.scenario_batch import collides_lane, fitness_lane
-from flora_lab.simulator import neural_law, tropism
-from flora_lab.simulator.rod import LONGEST_STEP_H, jit, points_lane
+from flora_common.shapes import STEM_POINTS
+from flora_lab.evolve.episode import NO_ANSWER
+from flora_lab.evolve.genome_activate import Networks
+from flora_lab.evolve.genome_decide import NO_DECISION, decide
+from flora_lab.evolve.plant_looks import GOES_ON, STEM, Looks, Scenarios, look
+from flora_lab.evolve.plants import Plants
+from flora_lab.evolve.scenario_batch import fitness_lane
+from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
-NOT_FINITE: Final = len(REASONS)
-"""The simulator has left the numbers; whoever calls this says so."""
-_RUNNING: Final = -1
-
-_learned_step = neural_law.step_lane
-_tropism_step = tropism.step_lane
+_NONE: Final = -1
 
 
-@jit
-def _answer(
-    g: int,
-    stem: Array,
-    told: Array,
-    node_start: Array,
-    bias: Array,
-    response: Array,
-    activation: Array,
-    aggregation: Array,
-    edge_start: Array,
-    source: Array,
-    weight: Array,
-    output: Array,
-    slots: Array,
-) -> float:
-    """What network g says of a stem and a scenario, both scaled; NaN where it has no answer.
+class Episodes(NamedTuple):
+    """What comes of the episodes of one plant; see :class:`flora_lab.evolve.episode.Outcomes`.
 
-    See :mod:`flora_lab.evolve.genome_activate`.
+    Attributes:
+        fitness, reason, steps: shape (networks, scenarios); fitness is that of the tip, whatever ended the run.
+        tip_cm, is_right: with another axis.
     """
-    width, first = len(stem), len(stem) + len(told)
-    slots[:width], slots[width:first] = stem, told
-    is_sound = fill_slots(
-        g, first, node_start, bias, response, activation, aggregation, edge_start, source, weight, slots
-    )
-    return float(slots[output[g, 0]]) if is_sound else np.nan
+
+    fitness: Array
+    reason: Array
+    steps: Array
+    tip_cm: Array
+    is_right: Array
+
+
+class _Views(NamedTuple):
+    """Who looks at which plant.
+
+    Attributes:
+        going: networks of which an episode goes on; only the first so many count.
+        plant: row of each episode's plant, or none where it has ended; shape (networks, scenarios).
+        decision: of each, see :func:`flora_lab.evolve.genome_decide.decide`.
+        moved: by row before the last step: the row now.
+        is_watched: by row: in which scenarios an episode goes on there; shape (rows, scenarios).
+        is_looked_at, is_right: by row: whether one goes on at all, and which lamp it switches on.
+        sibling: by row: the row of those who switched on the other lamp, or none.
+        parent: by row of a sibling: from which it parted.
+    """
+
+    going: Array
+    plant: Array
+    decision: Array
+    moved: Array
+    is_watched: Array
+    is_looked_at: Array
+    is_right: Array
+    sibling: Array
+    parent: Array
 
 
 @jit
 def run_shared(
-    node_start: Array,
-    bias: Array,
-    response: Array,
-    activation: Array,
-    aggregation: Array,
-    edge_start: Array,
-    source: Array,
-    weight: Array,
-    output: Array,
-    offset: Array,
-    scale: Array,
-    slots: Array,
-    edges_cm: Array,
-    targets_cm: Array,
-    stop_height_cm: float,
-    left_at_most: float,
-    share: bool,
-    is_learned: bool,
-    length: Array,
-    angle: Array,
-    count: Array,
-    seen: Array,
-    hidden: Array,
-    traits: Array,
-    constants: Array,
-    lamps_cm: Array,
-    w_ih: Array,
-    w_hh: Array,
-    b: Array,
-    w_out: Array,
-    b_out: Array,
-    zone_cm: float,
-    fitness: Array,
-    reason: Array,
-    steps: Array,
-    tip_cm: Array,
-    is_right: Array,
+    networks: Networks, scenarios: Scenarios, plants: Plants, episodes: Episodes, slots: Array, share: bool
 ) -> int:
     """Run every network in every scenario.
 
     Args:
-        node_start, ..., output: see :class:`flora_lab.evolve.genome_arrays.GenomeArrays`; one output.
-        offset, scale: of the inputs, shape (26,).
-        slots: room for one network's values.
-        edges_cm, targets_cm: see :class:`flora_lab.evolve.scenario_batch.ScenarioArrays`.
-        stop_height_cm, left_at_most: see :mod:`flora_lab.evolve.episode`.
+        networks: with one output.
+        scenarios: of a task.
+        plants: in row 0 stands the start, the others are room: as many rows as there are episodes.
+        episodes: written.
+        slots: room for one network's values, shape (LANES, inputs and nodes).
         share: simulate equal plants once; without it every episode has its own.
-        is_learned: which law: the learned one, or the mechanistic.
-        length, angle, count, seen, hidden: plants, one row each; row 0 holds the start, the others are room; ``seen``
-            and ``hidden`` are the memories of either law, that of the other one has no size.
-        traits: of the plant under the learned law; ``constants`` under the mechanistic one.
-        constants, lamps_cm, w_ih, w_hh, b, w_out, b_out, zone_cm: of the laws.
-        fitness, reason, steps, tip_cm, is_right: written, shape (networks, scenarios, ...).
 
     Returns:
         How many steps of plants were simulated.
     """
-    networks, scenarios = fitness.shape
-    lanes = networks * scenarios
-    most = is_right.shape[2]
-    points = np.empty((length.shape[0], 10, 2))
-    scaled = np.empty((length.shape[0], 20))
-    is_sound = np.empty(length.shape[0], dtype=np.bool_)
-    touches = np.empty((length.shape[0], scenarios), dtype=np.bool_)
-    plant = np.zeros(lanes, dtype=np.int64)
-    active = np.arange(lanes)
-    told = np.empty((scenarios, 6))
-    for s in range(scenarios):
-        told[s, :2], told[s, 2:] = targets_cm[s], edges_cm[s]
-        told[s] = (told[s] - offset[20:]) / scale[20:]
-    free = np.arange(length.shape[0] - 1, -1, -1)  # a stack; row 0 is on top
-    room = length.shape[0] - 1
-    live = np.zeros(length.shape[0], dtype=np.int64)
-    lives = 1
+    going, most = len(episodes.fitness), episodes.is_right.shape[2]
+    rows = episodes.fitness.size
+    looks = _looks(rows, len(scenarios.edges_cm))
+    views = _views(episodes, share)
+    used = 1
     if not share:
-        room, lives = length.shape[0] - lanes, lanes
-        for lane in range(lanes):
-            plant[lane] = live[lane] = lane
-            length[lane], angle[lane], count[lane] = length[0], angle[0], count[0]
-            seen[lane], hidden[lane] = seen[0], hidden[0]
-    side = np.empty(length.shape[0], dtype=np.int64)
-    sibling = np.empty(length.shape[0], dtype=np.int64)
+        used = rows
+        for row in range(1, rows):
+            plants.copy_row(0, row)
     simulated = 0
     for k in range(most + 1):
-        for i in range(lives):
-            u = live[i]
-            points_lane(length[u], angle[u], count[u], points[u])
-            side[u], sibling[u] = -1, -1
-            is_sound[u] = True
-            for j in range(20):
-                scaled[u, j] = (points[u, j // 2, j % 2] - offset[j]) / scale[j]
-                # written so that NaN fails it too
-                is_sound[u] = is_sound[u] and abs(scaled[u, j]) <= MAX_NUMBER
-            for s in range(scenarios):
-                touches[u, s] = collides_lane(points[u], edges_cm[s, 0], edges_cm[s, 1], edges_cm[s, 2], edges_cm[s, 3])
-        kept = 0
-        for i in range(len(active)):
-            lane = active[i]
-            g, s, u = lane // scenarios, lane % scenarios, plant[lane]
-            why = _RUNNING
-            if not is_sound[u]:
-                why = NOT_FINITE
-            elif touches[u, s]:
-                why = COLLISION
-            elif points[u, -1, 1] >= stop_height_cm:
-                why = HEIGHT
-            elif k >= most:
-                why = TIME
-            else:
-                said = _answer(
-                    g,
-                    scaled[u],
-                    told[s],
-                    node_start,
-                    bias,
-                    response,
-                    activation,
-                    aggregation,
-                    edge_start,
-                    source,
-                    weight,
-                    output,
-                    slots,
-                )
-                if not np.isfinite(said):
-                    why = NO_ANSWER
-            if why != _RUNNING:
-                x, y = points[u, -1, 0], points[u, -1, 1]
-                worth = fitness_lane(x, y, targets_cm[s, 0], targets_cm[s, 1])
-                fitness[g, s] = min(worth, NO_ANSWER_FITNESS) if why == NO_ANSWER else worth
-                reason[g, s], steps[g, s] = why, k
-                tip_cm[g, s, 0], tip_cm[g, s, 1] = x, y
-                continue
-            right = 1 if said > left_at_most else 0
-            is_right[g, s, k] = right == 1
-            active[kept] = lane
-            kept += 1
-            if side[u] < 0:
-                side[u] = right
-            elif side[u] != right:
-                if sibling[u] < 0:
-                    v = free[room - 1]
-                    room -= 1
-                    length[v], angle[v], count[v] = length[u], angle[u], count[u]
-                    seen[v], hidden[v] = seen[u], hidden[u]
-                    side[v], sibling[v], sibling[u] = right, -1, v
-                plant[lane] = sibling[u]
-        active = active[:kept]
-        if kept == 0:
+        for row in range(used):
+            plants.points(row, looks.points_cm[row])
+        look(looks, used, views.is_watched, scenarios, k >= most)
+        going = _end_episodes(scenarios, episodes, looks, views, going, k)
+        if going == 0:
             break
-        # Plants that somebody still looks at; the others' rows are room again.
-        before = lives
-        kept_lives = np.empty(min(2 * before, length.shape[0]), dtype=np.int64)
-        lives = 0
-        for i in range(before):
-            u = live[i]
-            if side[u] >= 0:
-                kept_lives[lives] = u
-                lives += 1
-                if sibling[u] >= 0:
-                    kept_lives[lives] = sibling[u]
-                    lives += 1
-            else:
-                free[room] = u
-                room += 1
-        live[:lives] = kept_lives[:lives]
-        for i in range(lives):
-            u = live[i]
-            left, right_level = (0.0, 1.0) if side[u] == 1 else (1.0, 0.0)
-            if is_learned:
-                count[u] = _learned_step(
-                    length[u],
-                    angle[u],
-                    count[u],
-                    hidden[u],
-                    traits,
-                    w_ih,
-                    w_hh,
-                    b,
-                    w_out,
-                    b_out,
-                    zone_cm,
-                    left,
-                    right_level,
-                    0.0,
-                    1.0,
-                )
-            else:
-                count[u] = _tropism_step(
-                    length[u],
-                    angle[u],
-                    count[u],
-                    seen[u],
-                    constants,
-                    lamps_cm,
-                    left,
-                    right_level,
-                    0.0,
-                    1.0,
-                    LONGEST_STEP_H,
-                )
-        simulated += lives
+        decide(networks, views.going, going, views.plant, looks.scaled, scenarios.told, slots, views.decision)
+        total = _part_plants(scenarios, episodes, looks, views, going, used, k)
+        for row in range(used, total):
+            plants.copy_row(views.parent[row], row)
+        used = 0
+        for row in range(total):
+            views.moved[row] = row
+        while used < total:
+            if not views.is_looked_at[used]:
+                total -= 1
+                while total > used and not views.is_looked_at[total]:
+                    total -= 1
+                if total == used:
+                    break
+                plants.copy_row(total, used)
+                views.is_right[used], views.is_watched[used] = views.is_right[total], views.is_watched[total]
+                views.moved[total] = used
+            used += 1
+        plants.advance(used, views.is_right, k)
+        simulated += used
     return simulated
+
+
+@jit
+def _looks(rows: int, scenarios: int) -> Looks:
+    points, scaled = np.empty((rows, STEM_POINTS, 2)), np.empty((rows, STEM))
+    return Looks(points, scaled, np.empty((rows, scenarios), dtype=np.int8))
+
+
+@jit
+def _views(episodes: Episodes, share: bool) -> _Views:
+    """At the start all look at one plant, or each at its own."""
+    networks, scenarios = episodes.fitness.shape
+    rows = networks * scenarios
+    plant = np.zeros((networks, scenarios), dtype=np.int64)
+    if not share:
+        plant[:] = np.arange(rows).reshape(networks, scenarios)
+    decision = np.zeros((networks, scenarios), dtype=np.int8)
+    is_watched = np.zeros((rows, scenarios), dtype=np.bool_)
+    for g in range(networks):
+        for s in range(scenarios):
+            is_watched[plant[g, s], s] = True
+    is_looked_at, is_right = np.empty(rows, dtype=np.bool_), np.empty(rows, dtype=np.bool_)
+    sibling, parent = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
+    return _Views(
+        np.arange(networks), plant, decision, np.arange(rows), is_watched, is_looked_at, is_right, sibling, parent
+    )
+
+
+@jit
+def _end_episodes(scenarios: Scenarios, episodes: Episodes, looks: Looks, views: _Views, going: int, k: int) -> int:
+    """End the episodes that end before step k; returns of how many networks one goes on."""
+    plant, kept = views.plant, 0
+    for i in range(going):
+        g, goes_on = views.going[i], False
+        for s in range(plant.shape[1]):
+            if plant[g, s] == _NONE:
+                continue
+            row = views.moved[plant[g, s]]
+            plant[g, s] = row
+            if looks.ends[row, s] == GOES_ON:
+                goes_on = True
+            else:
+                _end(episodes, scenarios, looks, g, s, row, looks.ends[row, s], k)
+                plant[g, s] = _NONE
+        if goes_on:
+            views.going[kept] = g
+            kept += 1
+    return kept
+
+
+@jit
+def _part_plants(
+    scenarios: Scenarios, episodes: Episodes, looks: Looks, views: _Views, going: int, used: int, k: int
+) -> int:
+    """Give those a plant of their own who decided otherwise than the first who looked at theirs.
+
+    Returns:
+        Rows of plants, siblings included.
+    """
+    plant, decision, total = views.plant, views.decision, used
+    for row in range(used):
+        views.is_looked_at[row], views.sibling[row] = False, _NONE
+        for s in range(plant.shape[1]):
+            views.is_watched[row, s] = False
+    for i in range(going):
+        g = views.going[i]
+        for s in range(plant.shape[1]):
+            row = plant[g, s]
+            if row == _NONE:
+                continue
+            if decision[g, s] == NO_DECISION:
+                _end(episodes, scenarios, looks, g, s, row, NO_ANSWER, k)
+                plant[g, s] = _NONE
+                continue
+            is_right = decision[g, s] == 1
+            episodes.is_right[g, s, k] = is_right
+            if not views.is_looked_at[row]:
+                views.is_looked_at[row], views.is_right[row] = True, is_right
+            elif views.is_right[row] != is_right:
+                if views.sibling[row] == _NONE:
+                    views.sibling[row], views.parent[total] = total, row
+                    views.is_looked_at[total], views.is_right[total] = True, is_right
+                    for other in range(plant.shape[1]):
+                        views.is_watched[total, other] = False
+                    total += 1
+                row = plant[g, s] = views.sibling[row]
+            views.is_watched[row, s] = True
+    return total
+
+
+@jit
+def _end(
+    episodes: Episodes, scenarios: Scenarios, looks: Looks, g: int, s: int, row: int, why: int, steps: int
+) -> None:
+    x, y = looks.points_cm[row, -1, 0], looks.points_cm[row, -1, 1]
+    episodes.fitness[g, s] = fitness_lane(x, y, scenarios.targets_cm[s, 0], scenarios.targets_cm[s, 1])
+    episodes.reason[g, s], episodes.steps[g, s] = why, steps
+    episodes.tip_cm[g, s, 0], episodes.tip_cm[g, s, 1] = x, y

@@ -5,7 +5,9 @@ shaping the plant", and ``reality``, which its controllers met with real plants 
 averages fitness over all scenarios of a task, also over the one of which it says that the plant cannot reach the
 target there; ``is_possible`` marks it, so that the average can be told without it too.
 
-There is no penalty for touching the obstacle: the run ends there, far from the target.
+In the paper there is no penalty for touching the obstacle: the run ends there, far from the target. Not always far:
+controllers find out that a stem may touch it from above when its tip has come to the target. A task can say that such
+a run is worth less.
 """
 
 from __future__ import annotations
@@ -61,6 +63,8 @@ class Task:
         start_cm: the stem at the start, ten points (x, y) in cm, anchor first.
         stop_height_cm: a run ends when the tip is as high.
         hours: a run ends after this time at the latest.
+        collision_at_most: a run that ended at the obstacle is worth this at most; None: as much as its tip, as in the
+            paper.
     """
 
     name: str
@@ -68,6 +72,7 @@ class Task:
     start_cm: Stem = STRAIGHT_STEM
     stop_height_cm: float = STOP_HEIGHT_CM
     hours: float = RUN_HOURS
+    collision_at_most: float | None = None
 
     @property
     def most_steps(self) -> int:

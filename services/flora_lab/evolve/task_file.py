@@ -52,6 +52,7 @@ class TaskFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: Label
     hours: Annotated[float, msgspec.Meta(ge=STEP_S / 3600.0, le=1000.0)] = RUN_HOURS
     stop_height_cm: PositiveCm = STOP_HEIGHT_CM
+    collision_at_most: Annotated[float, msgspec.Meta(ge=-10.0, le=1.0)] | None = None
     start: StartSection = StartSection()
     target: TargetSection | None = None
     obstacle: ObstacleSection | None = None
@@ -81,7 +82,8 @@ def read_task(path: Path) -> Task:
     """
     file = convert(read_toml(path, BadInput), TaskFile, where=str(path), error=BadInput)
     scenarios = tuple(_scenario(file, k, str(path)) for k in range(len(file.scenario)))
-    task = Task(file.name, scenarios, _start(file.start, str(path)), file.stop_height_cm, file.hours)
+    start = _start(file.start, str(path))
+    task = Task(file.name, scenarios, start, file.stop_height_cm, file.hours, file.collision_at_most)
     check_task(task, str(path))
     return task
 
@@ -100,7 +102,8 @@ def task_text(task: Task) -> str:
         for scenario in task.scenarios
     ]
     start = StartSection(points_cm=[(x, y) for x, y in task.start_cm])
-    return to_toml(TaskFile(task.name, task.hours, task.stop_height_cm, start, scenario=scenarios))
+    most = task.collision_at_most
+    return to_toml(TaskFile(task.name, task.hours, task.stop_height_cm, most, start, scenario=scenarios))
 
 
 def check_task(task: Task, where: str) -> None:

@@ -1,0 +1,122 @@
+"""``flora-lab evolve``: its options, and what it says."""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flora_common.errors import BadInput
+from flora_lab.stopped_work import sigterm_ends
+
+RUNS, GENERATIONS, POPULATION = 20, 1000, 150
+"""Wahby et al. 2018: 20 runs of 1000 generations."""
+MOST_RUNS = 10_000
+MOST_GENERATIONS = 1_000_000
+MOST_INDIVIDUALS = 1000
+
+
+class JudgeBy(enum.StrEnum):
+    """See :data:`flora_lab.evolve.individuals.Judge`."""
+
+    MEAN = "mean"
+    WORST = "worst"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the subcommand to ``flora-lab``."""
+    app.command("evolve")(evolve)
+
+
+def evolve(
+    simulator: Annotated[Path, typer.Argument(metavar="SIM", help="The simulator folder to evolve in.")],
+    *,
+    task: Annotated[str, typer.Option(help="left, middle, or a task file.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="The folder to write.")] = None,
+    runs: Annotated[int, typer.Option(min=1, max=MOST_RUNS, help="Independent runs.")] = RUNS,
+    generations: Annotated[int, typer.Option(min=1, max=MOST_GENERATIONS, help="Of each run.")] = GENERATIONS,
+    population: Annotated[
+        int | None, typer.Option(help=f"Controllers in a generation.  [default: {POPULATION}]", show_default=False)
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of all runs.")] = 1,
+    individuals: Annotated[
+        int, typer.Option(min=0, max=MOST_INDIVIDUALS, help="Drawn plants that each is tried on; 0: the typical one.")
+    ] = 0,
+    individuals_seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Which plants are drawn.")] = 1,
+    judge: Annotated[JudgeBy, typer.Option(help="What counts over drawn plants.")] = JudgeBy.MEAN,
+    neat: Annotated[
+        Path | None, typer.Option(metavar="CFG", help="Settings of NEAT; names only what it changes.")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Processes.  [default: one per core]", show_default=False)
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Work on a Ray cluster: auto, HOST:PORT, ray://HOST:10001, local."),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where the same command was stopped.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there, unfinished or not.")] = False,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html and pictures.")] = True,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Evolve controllers by NEAT in a simulator.
+
+    Who stops it with Ctrl-C, or loses power, goes on with --resume and comes to the same controllers.
+    """
+    if output is None:
+        raise BadInput("-o is missing: name the folder to write")
+    if jobs is not None and cluster is not None:
+        raise BadInput("--jobs and --cluster: the cluster decides how many there are; leave one of them out")
+    folder = _module("evolution_folder")
+    folder.check_output(output, force=force)
+    plan = _module("plan").Plan(
+        parcel=_module("plan").parcel_of(simulator),
+        task=_module("task_file").task_named(task),
+        settings=_module("neat_settings").load_settings(neat, population=population),
+        individuals=_module("individuals").Individuals(individuals, individuals_seed, judge.value),
+        runs=runs,
+        generations=generations,
+        seed=seed,
+    )
+    kept = _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work)
+    began = time.monotonic()
+    illustrate = importlib.import_module("flora_lab.evolve_report.page").write_report if report else None
+    with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
+        try:
+            with _crew(plan, jobs, cluster) as crew:
+                kept.begin(resume=resume, force=force)
+                states = _module("evolution").evolve(plan, kept, crew, screen)
+            screen.stage("writing")
+            info = _module("evolution_writing").write_evolution(
+                output, plan, states, wall_s=time.monotonic() - began, force=force, illustrate=illustrate
+            )
+        except (KeyboardInterrupt, SystemExit):
+            if kept.path.exists() and not quiet:
+                print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
+            raise
+    kept.remove()
+    if as_json:
+        typer.echo(json.dumps(_module("summary").as_json(info, output)))
+    elif not quiet:
+        typer.echo(_module("summary").text(info, output), nl=False)
+
+
+def _crew(plan: Any, jobs: int | None, cluster: str | None) -> Any:
+    crew = _module("crew")
+    if cluster is not None:
+        return _module("ray_crew").RayCrew(cluster, crew.SliceWork(plan))
+    count = jobs if jobs is not None else len(os.sched_getaffinity(0))
+    return crew.LocalCrew(min(count, plan.runs), crew.SliceWork(plan))
+
+
+def _module(name: str) -> Any:
+    """A module of this package; they import numba and neat-python, which other subcommands need not wait for."""
+    return importlib.import_module(f"flora_lab.evolve.{name}")

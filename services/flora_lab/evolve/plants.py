@@ -1,0 +1,90 @@
+"""Simulated plants inside of compiled loops: what every kind of them can do, and how a loop calls it.
+
+A kind of plants is a ``NamedTuple`` of arrays with the methods of :class:`Plants`, marked with :func:`jit_methods`.
+numba takes a named tuple apart into its fields and knows its class, so that one loop, written once, is compiled for
+each kind with its own methods. A new law is a module with such a class, and a line in
+:mod:`flora_lab.evolve.plants_kinds`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from numba import types
+from numba.extending import overload_method
+
+Array = npt.NDArray[Any]
+ClassT = TypeVar("ClassT")
+
+_overload: Any = overload_method
+_method: Callable[[str], Callable[[Callable[..., Any]], Callable[..., Any]]] = functools.partial(
+    _overload, types.NamedTuple, jit_options={"error_model": "numpy", "nogil": True}, strict=False
+)
+"""Not strict, so that a method may say the types of its arguments."""
+
+
+_JITTED: Final[set[type[Any]]] = set()
+
+
+def jit_methods(plants: type[ClassT]) -> type[ClassT]:
+    """Let compiled code call the methods of a ``NamedTuple`` of plants."""
+    _JITTED.add(plants)
+    return plants
+
+
+class Plants(Protocol):
+    """Rows of plants of one kind, of which the first so many are in use. Methods must compile."""
+
+    def points(self, row: int, out: Array) -> None:
+        """The stem of one plant.
+
+        Args:
+            row: which.
+            out: shape (10, 2), cm, written.
+        """
+
+    def advance(self, rows: int, is_right: Array, step: int) -> None:
+        """Let five minutes pass for the first ``rows`` plants. What comes of a plant does not depend on its row.
+
+        Args:
+            rows: how many are in use.
+            is_right: which lamp shines on each; it is full on, the other dark.
+            step: number of the step, from 0.
+        """
+
+    def copy_row(self, source: int, target: int) -> None:
+        """Make the plant in row ``target`` the one in row ``source``."""
+
+
+def room(first: Array, rows: int) -> Array:
+    """An array of so many rows, of which only the first is filled, by the single row of ``first``.
+
+    Memory that is never written costs nothing: rows that no plant comes to stand in are only an address.
+    """
+    made = np.empty((rows, *first.shape[1:]), dtype=first.dtype)
+    made[0] = first[0]
+    return made
+
+
+def _own(plants: Any, name: str) -> Callable[..., None] | None:
+    """The class's own method, which numba compiles; None where it is none of ours."""
+    return getattr(plants.instance_class, name) if plants.instance_class in _JITTED else None
+
+
+@_method("points")
+def _points(self: Any, row: Any, out: Any) -> Callable[..., None] | None:
+    return _own(self, "points")
+
+
+@_method("advance")
+def _advance(self: Any, rows: Any, is_right: Any, step: Any) -> Callable[..., None] | None:
+    return _own(self, "advance")
+
+
+@_method("copy_row")
+def _copy_row(self: Any, source: Any, target: Any) -> Callable[..., None] | None:
+    return _own(self, "copy_row")

@@ -1,0 +1,225 @@
+"""Plants of the paper's simulator, for compiled loops: an LSTM of 50 cells, with its state or from the zero state.
+
+From the zero state neither the recurrent weights nor the forget gate have any effect; they are left out.
+
+With state, each step's stem is a linear function of the hidden state before it, but for the first, which is given. So
+the output layer is folded into the recurrent weights: W_hh + W_ih W_out, once, in place of two products in each step.
+That is exact but for rounding. The stem is still computed, for it decides what the lamps do.
+
+Against :meth:`flora_lab.simulator.paper.PaperSimulator.step` results differ by rounding, some 1e-7 of a stem per step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.evolve.lstm_tiles import (
+    LANES,
+    ROWS_AT_ONCE,
+    add_product,
+    fill,
+    fill_lit,
+    hidden_and_cell,
+    hidden_from_zero,
+    tiles,
+)
+from flora_lab.evolve.plants import jit_methods
+from flora_lab.evolve.task import Task
+from flora_lab.simulator.interface import Simulator
+from flora_lab.simulator.measured import STEP_S
+from flora_lab.simulator.paper import CELLS, COORDINATES, PaperSimulator
+
+Array = npt.NDArray[Any]
+
+INPUT_ROWS: Final = 20
+"""Of a tile: 18 coordinates, the light, and one to round up, whose weights are zero."""
+_I, _F, _G, _O = range(4)
+_CELLS_AT_ONCE: Final = 10
+
+
+@jit_methods
+class StatelessPlants(NamedTuple):
+    """See :class:`flora_lab.evolve.plants.Plants`.
+
+    Attributes:
+        stem: tiles of :data:`INPUT_ROWS` rows, units, float32, shape (tiles, rows * lanes).
+        w_gates, b_gates: gates i, g and o of each cell, from a tile's rows; flat.
+        w_out, b_out: coordinates from the cells; flat.
+        unit_cm: the simulator's unit.
+        parts: steps of the simulator in five minutes.
+        gates, hidden: room for one tile.
+    """
+
+    stem: Array
+    w_gates: Array
+    b_gates: Array
+    w_out: Array
+    b_out: Array
+    unit_cm: float
+    parts: int
+    gates: Array
+    hidden: Array
+
+    def points(self, row: int, out: Array) -> None:
+        tile, lane = row // LANES, row % LANES
+        out[0, 0] = out[0, 1] = 0.0
+        for j in range(COORDINATES):
+            out[1 + j // 2, j % 2] = np.float64(self.stem[tile, j * LANES + lane]) * self.unit_cm
+
+    def advance(self, rows: int, is_right: Array, step: int) -> None:
+        for tile in range((rows + LANES - 1) // LANES):
+            stem = self.stem[tile]
+            for _ in range(self.parts):
+                # The product below leaves the row of the light as it was, and the last one.
+                for lane in range(min(LANES, rows - tile * LANES)):
+                    stem[COORDINATES * LANES + lane] = np.float32(1.0 if is_right[tile * LANES + lane] else 0.0)
+                fill(len(self.b_gates), self.b_gates, self.gates)
+                add_product(self.w_gates, 0, len(self.b_gates), INPUT_ROWS, stem, self.gates)
+                hidden_from_zero(CELLS, self.gates, self.hidden)
+                fill(COORDINATES, self.b_out, stem)
+                add_product(self.w_out, 0, INPUT_ROWS, CELLS, self.hidden, stem)
+
+    def copy_row(self, source: int, target: int) -> None:
+        for j in range(INPUT_ROWS):
+            value = self.stem[source // LANES, j * LANES + source % LANES]
+            self.stem[target // LANES, j * LANES + target % LANES] = value
+
+
+@jit_methods
+class StatefulPlants(NamedTuple):
+    """See :class:`flora_lab.evolve.plants.Plants`.
+
+    Attributes:
+        stem: tiles of coordinates, units, float32, rounded up to :data:`INPUT_ROWS` rows.
+        hidden, cell: tiles of the LSTM's state.
+        w_gates: gates i, f, g and o of each cell, from the hidden state, output layer and all; flat.
+        b_first, b_later: of the gates, in the step from the given stem and in those after it.
+        w_light: what the right lamp adds to them.
+        w_out, b_out, unit_cm, parts: see :class:`StatelessPlants`.
+        light, gates, after: room for one tile's lamps, for some cells' gates and for one tile's hidden state.
+    """
+
+    stem: Array
+    hidden: Array
+    cell: Array
+    w_gates: Array
+    b_first: Array
+    b_later: Array
+    w_light: Array
+    w_out: Array
+    b_out: Array
+    unit_cm: float
+    parts: int
+    light: Array
+    gates: Array
+    after: Array
+
+    def points(self, row: int, out: Array) -> None:
+        tile, lane = row // LANES, row % LANES
+        out[0, 0] = out[0, 1] = 0.0
+        for j in range(COORDINATES):
+            out[1 + j // 2, j % 2] = np.float64(self.stem[tile, j * LANES + lane]) * self.unit_cm
+
+    def advance(self, rows: int, is_right: Array, step: int) -> None:
+        chunk = 4 * _CELLS_AT_ONCE
+        for tile in range((rows + LANES - 1) // LANES):
+            stem, hidden, cell = self.stem[tile], self.hidden[tile], self.cell[tile]
+            for lane in range(min(LANES, rows - tile * LANES)):
+                self.light[lane] = np.float32(1.0 if is_right[tile * LANES + lane] else 0.0)
+            for part in range(self.parts):
+                bias = self.b_first if step == 0 and part == 0 else self.b_later
+                for first in range(0, CELLS, _CELLS_AT_ONCE):
+                    fill_lit(4 * first, chunk, bias, self.w_light, self.light, self.gates)
+                    add_product(self.w_gates, 4 * first, chunk, CELLS, hidden, self.gates)
+                    hidden_and_cell(_CELLS_AT_ONCE, self.gates, cell, self.after, first)
+                for j in range(len(hidden)):  # many times faster than an assignment of the whole
+                    hidden[j] = self.after[j]
+                fill(COORDINATES, self.b_out, stem)
+                add_product(self.w_out, 0, INPUT_ROWS, CELLS, hidden, stem)
+
+    def copy_row(self, source: int, target: int) -> None:
+        old, lane_old, new, lane_new = source // LANES, source % LANES, target // LANES, target % LANES
+        for j in range(COORDINATES):
+            self.stem[new, j * LANES + lane_new] = self.stem[old, j * LANES + lane_old]
+        for j in range(CELLS):
+            self.hidden[new, j * LANES + lane_new] = self.hidden[old, j * LANES + lane_old]
+            self.cell[new, j * LANES + lane_new] = self.cell[old, j * LANES + lane_old]
+
+
+def plants_of(
+    simulator: Simulator[Any], task: Task, seed: int | None, rows: int
+) -> StatelessPlants | StatefulPlants | None:
+    """See :func:`flora_lab.evolve.plants_kinds.plants_of`; None for another simulator.
+
+    Raises:
+        BadInput: five minutes are no multiple of the simulator's step.
+    """
+    if not isinstance(simulator, PaperSimulator):
+        return None
+    parts = simulator.steps_in(STEP_S)
+    start = simulator.start(task.start_stem_cm[None]).points[0]
+    count = -(-rows // LANES)
+    stem = tiles(count, INPUT_ROWS)
+    stem[0] = 0.0
+    stem[0, : COORDINATES * LANES : LANES] = start
+    cell, dense = simulator.network.cell, simulator.network.dense
+    w_out = np.zeros((INPUT_ROWS, CELLS), dtype=np.float32)
+    w_out[:COORDINATES] = dense.w
+    w_ih, w_hh, b = (_halved(part) for part in (cell.w_ih, cell.w_hh, cell.b[:, None]))
+    if not simulator.stateful:
+        w_gates = np.zeros((3 * CELLS, INPUT_ROWS))
+        w_gates[:, : w_ih.shape[1]] = _by_cell(w_ih, (_I, _G, _O))
+        b_gates = _flat(_by_cell(b, (_I, _G, _O)))
+        return StatelessPlants(
+            stem,
+            _flat(w_gates),
+            b_gates,
+            w_out.ravel(),
+            dense.b,
+            simulator.unit_cm,
+            parts,
+            tiles(1, len(b_gates))[0],
+            tiles(1, CELLS)[0],
+        )
+    w_stem = w_ih[:, :COORDINATES]
+    folded = w_hh + w_stem @ dense.w.astype(np.float64)
+    every_gate = (_I, _F, _G, _O)
+    hidden, memory = tiles(count, CELLS), tiles(count, CELLS)
+    hidden[0] = memory[0] = 0.0
+    return StatefulPlants(
+        stem,
+        hidden,
+        memory,
+        _flat(_by_cell(folded, every_gate)),
+        _flat(_by_cell(b + w_stem @ start[:, None].astype(np.float64), every_gate)),
+        _flat(_by_cell(b + w_stem @ dense.b[:, None].astype(np.float64), every_gate)),
+        _flat(_by_cell(w_ih[:, COORDINATES:], every_gate)),
+        w_out.ravel(),
+        dense.b,
+        simulator.unit_cm,
+        parts,
+        np.zeros(LANES, dtype=np.float32),
+        tiles(1, 4 * _CELLS_AT_ONCE)[0],
+        tiles(1, CELLS)[0],
+    )
+
+
+def _halved(rows: Array) -> Array:
+    """Rows of PyTorch's gates, those of the sigmoids halved; in float64."""
+    return np.asarray(rows.astype(np.float64) * np.repeat([0.5, 0.5, 1.0, 0.5], CELLS)[:, None])
+
+
+def _by_cell(rows: Array, gates: tuple[int, ...]) -> Array:
+    """PyTorch's rows, gate by gate, as rows cell by cell, of these gates alone."""
+    parts = [rows[gate * CELLS : (gate + 1) * CELLS] for gate in gates]
+    return np.asarray(np.stack(parts, axis=1).reshape(-1, rows.shape[1]))
+
+
+def _flat(rows: Array) -> Array:
+    """As float32, with zero rows up to a multiple of what is done at once."""
+    missing = -len(rows) % ROWS_AT_ONCE
+    filled = np.concatenate([rows, np.zeros((missing, rows.shape[1]))])
+    return np.asarray(filled.astype(np.float32).ravel())

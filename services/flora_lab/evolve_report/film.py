@@ -1,0 +1,157 @@
+"""Episodes as a film: the stem grows, lamps shine, all scenarios beside each other under one clock."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from PIL import Image
+
+from flora_common.runs import Light
+from flora_lab.evolve.evolution_folder import EpisodeTrack
+from flora_lab.evolve.task import Task
+from flora_lab.evolve_report import words
+from flora_lab.evolve_report.scene import Window, draw_lamps, draw_scenario, light_lamps, side, window_of
+from flora_lab.figure_style import TARGET, new_figure
+
+FRAMES: Final = 60
+FRAME_MS: Final = 120
+LAST_FRAME_MS: Final = 2500
+MOST_PANELS: Final = 6
+COLUMNS: Final = 4
+PANEL_WIDE_IN: Final = 2.4
+DPI: Final = 100
+COLOURS: Final = 48
+"""Of the film's palette: edges of lines are smooth with as many, and a frame takes few bytes."""
+NEARLY: Final = 8
+"""Steps of 255: Pillow looks colours up in cells of 4 steps, and may take a neighbour for the colour itself."""
+STEM: Final = "#1d7a33"
+
+
+def episodes_film(episodes: Sequence[EpisodeTrack], task: Task) -> bytes:
+    """An animated GIF of one episode or several; of more than six, the first six.
+
+    Args:
+        episodes: one or more.
+        task: whose they are.
+    """
+    shown = list(episodes[:MOST_PANELS])
+    window = window_of(task, [episode.stems_cm for episode in shown])
+    columns = min(COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    wide, tall = PANEL_WIDE_IN * columns, rows * (PANEL_WIDE_IN * min(window.shape, 2.0) + 0.45) + 0.3
+    figure = new_figure(wide, tall, dpi=DPI)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes[len(shown) :]:
+        ax.set_axis_off()
+    clock = figure.suptitle(" ", fontsize=10, family="monospace")
+    panels = [_Panel.on(ax, episode, task, window) for ax, episode in zip(axes, shown, strict=False)]
+    longest_s = max(float(episode.time_s[-1] - episode.time_s[0]) for episode in shown)
+    moments = np.linspace(0.0, longest_s, min(FRAMES, max(len(episode.time_s) for episode in shown)))
+    return _gif(_pictures(figure, panels, clock, moments.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """What moves in one scenario."""
+
+    ax: Axes
+    episode: EpisodeTrack
+    stem: Line2D
+    path: Line2D
+    tip: Line2D
+    lamps: dict[Light, PathCollection]
+    told: Text
+
+    @classmethod
+    def on(cls, ax: Axes, episode: EpisodeTrack, task: Task, window: Window) -> _Panel:
+        draw_scenario(ax, episode.scenario, window)
+        ax.set_title(words.panel_title(episode.scenario), fontsize=9)
+        ax.title.set_parse_math(False)
+        (path,) = ax.plot([], [], color=TARGET, linewidth=0.8)
+        (stem,) = ax.plot([], [], color=STEM, linewidth=2.6, solid_capstyle="round")
+        (tip,) = ax.plot([], [], "o", color=STEM, markersize=4)
+        told = ax.set_xlabel(f"{words.ended(episode.reason, task)}: {words.percent(episode.fitness)}", fontsize=8)
+        return cls(ax, episode, stem, path, tip, draw_lamps(ax), told)
+
+    @property
+    def moving(self) -> tuple[Artist, ...]:
+        """What is drawn anew in each picture."""
+        return (self.path, self.stem, self.tip, *self.lamps.values(), self.told)
+
+    def show(self, second: float) -> None:
+        """As it is so long after the start."""
+        times = self.episode.time_s - self.episode.time_s[0]
+        row = int(np.searchsorted(times, second + 1e-6, side="right")) - 1
+        is_over = row == len(times) - 1
+        stems = self.episode.stems_cm
+        self.stem.set_data(*stems[row].T)
+        self.path.set_data(*stems[: row + 1, -1].T)
+        self.tip.set_data(stems[row, -1:, 0], stems[row, -1:, 1])
+        self.told.set_visible(is_over)
+        light_lamps(self.lamps, None if is_over else side(bool(self.episode.is_right[row])))
+
+    def draw(self) -> None:
+        for artist in self.moving:
+            self.ax.draw_artist(artist)
+
+    def set_visible(self, is_visible: bool) -> None:
+        for artist in self.moving:
+            artist.set_visible(is_visible)
+
+
+def _pictures(figure: Figure, panels: list[_Panel], clock: Text, moments: list[float]) -> list[Image.Image]:
+    """One picture per moment; what does not move is drawn once."""
+    canvas: Any = figure.canvas
+    canvas.draw()  # settles the layout while everything is there
+    figure.set_layout_engine("none")
+    for panel in panels:
+        panel.ax.spines[["top", "right"]].set_visible(False)
+        panel.set_visible(False)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    pictures = []
+    for panel in panels:
+        panel.set_visible(True)
+    for moment in moments:
+        canvas.restore_region(still)
+        clock.set_text(f"{moment / 3600.0:5.1f} h")
+        figure.draw_artist(clock)
+        for panel in panels:
+            panel.show(moment)
+            panel.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
+    return pictures
+
+
+def _gif(pictures: list[Image.Image]) -> bytes:
+    """All in the colours of the first, a middle and the last one."""
+    picked = [pictures[place] for place in sorted({0, len(pictures) // 2, len(pictures) - 1})]
+    wide, high = pictures[0].size
+    sheet = Image.new("RGB", (wide, high * len(picked)))
+    for k, picture in enumerate(picked):
+        sheet.paste(picture, (0, k * high))
+    palette = sheet.quantize(COLOURS, dither=Image.Dither.NONE)
+    _keep_background(palette, pictures[0])
+    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    durations = [FRAME_MS] * (len(flat) - 1) + [LAST_FRAME_MS]
+    data = io.BytesIO()
+    flat[0].save(data, format="GIF", save_all=True, append_images=flat[1:], duration=durations, loop=0)
+    return data.getvalue()
+
+
+def _keep_background(palette: Image.Image, picture: Image.Image) -> None:
+    """Give the corner's own colour to all of the palette's that are nearly like it: pages are of the same white."""
+    exact = np.asarray(picture)[0, 0].astype(np.int64)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[(np.abs(colours - exact) <= NEARLY).all(axis=1)] = exact
+    palette.putpalette(colours.ravel().tolist())
