@@ -1,9 +1,10 @@
 """What a controller is evolved for: targets, obstacles, the stem that a run starts from, and when it ends.
 
 The built-in tasks are those of Wahby et al. 2018: ``left`` and ``middle`` of its section "Task: Obstacle avoidance by
-shaping the plant", and ``reality``, which its controllers met with real plants and were not evolved for. The paper
-averages fitness over all scenarios of a task, also over the one of which it says that the plant cannot reach the
-target there; ``is_possible`` marks it, so that the average can be told without it too.
+shaping the plant", and ``reality``, which its controllers met with real plants and were not evolved for. ``round`` is
+flora's own, for controllers that are. The paper averages fitness over all scenarios of a task, also over the one of
+which it says that the plant cannot reach the target there; ``is_possible`` marks it, so that the average can be told
+without it too.
 
 In the paper there is no penalty for touching the obstacle: the run ends there, far from the target. Not always far:
 controllers find out that a stem may touch it from above when its tip has come to the target. A task can say that such
@@ -110,7 +111,33 @@ MIDDLE: Final = Task(
     ),
 )
 REALITY: Final = Task("reality", (Scenario("reality", REALITY_TARGET, REALITY_OBSTACLE),))
-BUILT_IN: Final[Mapping[str, Task]] = {task.name: task for task in (LEFT, MIDDLE, REALITY)}
+_ROOM_CM: Final = (1.0, 1.0)
+"""By which the obstacles of ``round`` are wider and higher than that of the real plants: half of it on each side."""
+
+
+def _larger(obstacle: Obstacle, right_cm: float, up_cm: float) -> Obstacle:
+    return Obstacle(
+        obstacle.x_cm + right_cm,
+        obstacle.y_cm + up_cm,
+        obstacle.width_cm + _ROOM_CM[0],
+        obstacle.height_cm + _ROOM_CM[1],
+    )
+
+
+ROUND: Final = Task(
+    "round",
+    (
+        Scenario("reality", REALITY_TARGET, _larger(REALITY_OBSTACLE, 0.0, 0.0)),
+        Scenario("nearer", REALITY_TARGET, _larger(REALITY_OBSTACLE, 0.5, -0.5)),
+        Scenario("farther", REALITY_TARGET, _larger(REALITY_OBSTACLE, -0.5, 0.5)),
+    ),
+    stop_height_cm=18.5,
+    hours=96.0,
+    collision_at_most=0.3,
+)
+"""For controllers that are to steer real plants past the obstacle of ``reality``: with room to spare, no gain from
+touching it, time for slow plants, and an end at the target's height."""
+BUILT_IN: Final[Mapping[str, Task]] = {task.name: task for task in (LEFT, MIDDLE, REALITY, ROUND)}
 
 
 @dataclass(frozen=True, slots=True)

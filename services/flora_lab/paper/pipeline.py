@@ -11,7 +11,7 @@ from flora_lab.evaluate.command import SEED as PLANTS_SEED
 from flora_lab.evaluate.command import TWIN
 from flora_lab.evaluate.on_twin import TWIN_COMMAND
 from flora_lab.evolve.evolution_folder import BEST_FILE
-from flora_lab.evolve.task import LEFT, MIDDLE, REALITY, Task
+from flora_lab.evolve.task import LEFT, MIDDLE, REALITY, ROUND, Task
 from flora_lab.evolve.task_file import task_text
 from flora_lab.paper.scales import PIXEL_CM, Asked, Evolving, Scale
 from flora_lab.paper.steps import Given, Made, Step, Word
@@ -28,6 +28,8 @@ SIDES: Final[tuple[Side, Side]] = ("paper", "own")
 SIMULATORS: Final[Mapping[Side, str]] = {"paper": "paper.simulator", "own": "own.simulator"}
 SIDE_WORDS: Final[Mapping[Side, str]] = {"paper": "the paper's recipe", "own": "our recipe"}
 TASKS: Final = (LEFT, MIDDLE)
+EVOLVED_FOR_REALITY: Final[Mapping[Side, Task]] = {"paper": LEFT, "own": ROUND}
+"""What the controllers that meet plants through the whole rig were evolved for: the paper's took one of ``left``."""
 
 
 def evolution_name(side: Side, task: Task) -> str:
@@ -71,7 +73,8 @@ def steps_of(asked: Asked, *, is_silent: bool) -> list[Step]:
             others=quiet,
         ),
         *_simulators(asked, quiet),
-        *(_evolution(asked, side, task, quiet) for side, task in product(SIDES, TASKS)),
+        *(_evolution(asked, side, task, evolving(asked.scale, side), quiet) for side, task in product(SIDES, TASKS)),
+        _evolution(asked, "own", ROUND, asked.scale.for_reality, quiet),
         *(_reality(asked, side, quiet) for side in SIDES),
     ]
 
@@ -104,8 +107,7 @@ def _simulators(asked: Asked, quiet: tuple[str, ...]) -> list[Step]:
     ]
 
 
-def _evolution(asked: Asked, side: Side, task: Task, quiet: tuple[str, ...]) -> Step:
-    size = evolving(asked.scale, side)
+def _evolution(asked: Asked, side: Side, task: Task, size: Evolving, quiet: tuple[str, ...]) -> Step:
     sizes = {
         "--runs": size.runs,
         "--generations": size.generations,
@@ -117,7 +119,7 @@ def _evolution(asked: Asked, side: Side, task: Task, quiet: tuple[str, ...]) -> 
     jobs = () if asked.jobs is None else ("--jobs", str(asked.jobs))
     return Step(
         evolution_name(side, task),
-        f"evolution for the {task.name} target in the simulator of {SIDE_WORDS[side]}",
+        f"evolution for the task {task.name} in the simulator of {SIDE_WORDS[side]}",
         LAB_COMMAND,
         ("evolve", Made(SIMULATORS[side]), "--task", task.name, *numbers),
         goes_on=("--resume",),
@@ -127,15 +129,16 @@ def _evolution(asked: Asked, side: Side, task: Task, quiet: tuple[str, ...]) -> 
 
 
 def _reality(asked: Asked, side: Side, quiet: tuple[str, ...]) -> Step:
-    """The best controller for the left target, as in the paper, on plants that nobody has met."""
+    """A recipe's best controller on plants that nobody has met."""
     places: list[Word] = [word for simulator in SIMULATORS.values() for word in ("--on", Made(simulator))]
     plants = ("--repeat", str(asked.scale.plants), "--seed", str(PLANTS_SEED))
     task = reality_task(asked.scale)
     named: Word = task.name if task is REALITY else Given(TASK_FILE, task_text(task))
-    controller = Made(evolution_name(side, LEFT), BEST_FILE)
+    evolved_for = EVOLVED_FOR_REALITY[side]
+    controller = Made(evolution_name(side, evolved_for), BEST_FILE)
     return Step(
         reality_name(side),
-        f"the best left controller of {SIDE_WORDS[side]} on virtual plants, through the whole rig",
+        f"the best {evolved_for.name} controller of {SIDE_WORDS[side]} on virtual plants, through the whole rig",
         LAB_COMMAND,
         ("evaluate", controller, *places, "--on", TWIN, "--task", named, *plants),
         others=quiet,

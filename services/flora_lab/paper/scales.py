@@ -40,6 +40,7 @@ class Scale:
         paper_epochs: of the paper's recipe, at most.
         own_recipe, own_epochs: our recipe; None leaves the epochs to it.
         in_paper, in_own: evolution in the simulator of the paper's recipe, and in that of ours.
+        for_reality: evolution in ours, for the controller that meets virtual plants.
         plants: virtual plants that each of the two best controllers meets through the whole rig.
         reality_hours: longest of these experiments.
     """
@@ -54,6 +55,7 @@ class Scale:
     own_epochs: int | None
     in_paper: Evolving
     in_own: Evolving
+    for_reality: Evolving
     plants: int
     reality_hours: float
 
@@ -69,6 +71,7 @@ SMOKE: Final = Scale(
     own_epochs=2,
     in_paper=Evolving(2, 3, 20),
     in_own=Evolving(2, 3, 20),
+    for_reality=Evolving(2, 3, 20, individuals=2),
     plants=1,
     reality_hours=3.0,
 )
@@ -83,6 +86,7 @@ SMALL: Final = Scale(
     own_epochs=None,
     in_paper=Evolving(6, 150, 150),
     in_own=Evolving(6, 40, 150),
+    for_reality=Evolving(2, 25, 150, individuals=4),
     plants=1,
     reality_hours=72.0,
 )
@@ -96,7 +100,8 @@ FULL: Final = Scale(
     own_recipe="sequence",
     own_epochs=None,
     in_paper=Evolving(20, 1000, 150),
-    in_own=Evolving(5, 120, 150, individuals=3),
+    in_own=Evolving(20, 200, 150),
+    for_reality=Evolving(2, 80, 150, individuals=8),
     plants=3,
     reality_hours=72.0,
 )
