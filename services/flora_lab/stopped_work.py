@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any, Final
 from flora_common.errors import BadInput
 
 TERMINATED_STATUS: Final = 128 + int(signal.SIGTERM)
+CHILD_ENDS_WITHIN_S: Final = 120.0
+"""Real seconds in which a command that is told to stop has stopped: a virtual rig ends every service of its own."""
 
 
 @contextlib.contextmanager
@@ -26,6 +29,24 @@ def sigterm_ends() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def waited_for(process: subprocess.Popen[str]) -> str:
+    """What a child process said on stderr, when it has ended; nothing where that went elsewhere.
+
+    Whatever ends the waiting ends the child too, politely at first.
+    """
+    try:
+        _, said = process.communicate()
+    except BaseException:
+        process.terminate()
+        try:
+            process.communicate(timeout=CHILD_ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+        raise
+    return said or ""
 
 
 def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any], remedy: str) -> None:

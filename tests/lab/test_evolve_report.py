@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from evolution_fakes import Fake, read_fake, renamed, write_fake
+from html_reader import Reader
 
 from flora_common.errors import BadInput
 from flora_lab.evolve.evolution_folder import BEST_FILE, PICTURES, REPORT_FILE, read_evolution
@@ -16,38 +16,8 @@ from flora_lab.evolve.task import LEFT, MIDDLE
 from flora_lab.evolve_report.page import page, write_report
 from flora_lab.evolve_report.pictures import FILM_FILE, Pictures, draw, write_pictures
 
-VOID = {"meta", "img", "br", "link"}
 BLANK = Pictures(*[b"\x89PNG"] * 8)
 BAD_NAMES = ("<script>alert(1)</script>", '"><img src=x onerror=y>', "$\\frac{1}$ & <b>", "_豆 &lt;")
-
-
-class Reader(HTMLParser):
-    """What a page is made of; fails on tags that are not closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.cells: list[str] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-        if tag == "td":
-            self.cells.append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-        if self.open and self.open[-1] == "td":
-            self.cells[-1] += data
 
 
 @pytest.fixture(scope="module")

@@ -122,7 +122,10 @@ def test_a_task_is_named_or_a_file(tmp_path: Path) -> None:
     plain.write_text(SLALOM)
     assert task_named(str(plain)).name == "slalom"
     for text, said in (
-        ("lefd", "--task lefd: neither a built-in task (left, middle, reality, round) nor a file; did you mean `left`?"),
+        (
+            "lefd",
+            "--task lefd: neither a built-in task (left, middle, reality, round) nor a file; did you mean `left`?",
+        ),
         ("17", "--task 17: neither a built-in task (left, middle, reality, round) nor a file"),
         ("none.toml", "none.toml: cannot be read (No such file or directory)"),
     ):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
 import numpy as np
 import paper_fakes
 import pytest
+from html_reader import Reader
 
 from flora_lab.paper import tables
 from flora_lab.paper.page import NUMBERS_FILE, PICTURES, REPORT_FILE, page, write_report
@@ -17,32 +17,7 @@ from flora_lab.paper.published import PUBLISHED
 from flora_lab.paper.results import Results
 from flora_lab.paper.rows import Cell, Row, Values, rows
 
-VOID = {"meta", "img", "br", "link"}
 SCRIPT = "<script>alert(1)</script>"
-
-
-class Reader(HTMLParser):
-    """What a page is made of; fails on tags that are not closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
 
 
 @pytest.fixture(scope="module")

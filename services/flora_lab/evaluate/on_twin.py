@@ -25,12 +25,11 @@ from flora_lab.evaluate.plan import NamedController, Plan
 from flora_lab.evaluate.trial import Trial, measured
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.report import strip, summary
+from flora_lab.stopped_work import waited_for
 
 TWIN_COMMAND: Final = "flora-twin"
 STRIP_FILE: Final = "strip.jpg"
 STRIP_PANELS: Final = 4
-END_WITHIN_S: Final = 60.0
-"""For the rig to stop its services when it is told to end."""
 
 
 class RunFailed(FloraError):
@@ -221,16 +220,7 @@ def _run(arguments: Sequence[str], screen: TextIO | None) -> None:
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
         start_new_session=True,
     )
-    try:
-        _, said = process.communicate()
-    except BaseException:
-        process.terminate()
-        try:
-            process.communicate(timeout=END_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-        raise
+    said = waited_for(process)
     if process.returncode != 0:
         lines = said.strip().splitlines() or [f"{TWIN_COMMAND} ended with status {process.returncode}"]
         raise RunFailed(lines[-1].removeprefix(f"{TWIN_COMMAND}: "))

@@ -5,12 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Sequence
-from typing import Final
 
 from flora_common.errors import FloraError
-
-END_WITHIN_S: Final = 120.0
-"""For a command that was told to stop: one that drives the virtual rig stops all its services first."""
+from flora_lab.stopped_work import waited_for
 
 
 class ChildFailed(FloraError):
@@ -50,20 +47,11 @@ def run_child(program: str, arguments: Sequence[str], *, held: int, is_silent: b
         pass_fds=(held,),
         start_new_session=True,
     )
-    try:
-        _, said = process.communicate()
-    except BaseException:
-        process.terminate()
-        try:
-            process.communicate(timeout=END_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-        raise
+    said = waited_for(process)
     status = process.returncode
     if status == 0:
         return
-    lines = (said or "").strip().splitlines()
+    lines = said.strip().splitlines()
     if len(lines) > 1:  # a traceback, which its last line alone does not explain
         print("\n".join(lines[:-1]), file=sys.stderr)
     words = lines[-1] if lines else "what it said is above" if not is_silent else "it said nothing"

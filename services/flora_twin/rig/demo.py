@@ -13,6 +13,7 @@ from flora_common.paper_experiment import RUN_HOURS
 from flora_twin.rig.experiment import Experiment, check_photographs, parse_speed, run_experiment
 from flora_twin.rig.faults import parse_fault
 from flora_twin.rig.outcome import tell
+from flora_twin.rig.shipped_controller import CONTROLLER, EVOLVED, KEYS_DIR
 
 
 def register(app: typer.Typer) -> None:
@@ -28,7 +29,9 @@ def demo(
         str, typer.Option(help="lockstep (as fast as the services answer), realtime, or N times.")
     ] = "lockstep",
     hours: Annotated[float, typer.Option(min=0.1, max=2000.0, help="Length of the run.")] = RUN_HOURS,
-    controller: Annotated[str, typer.Option(help="Built-in controller, or a .controller.json file.")] = "waypoint",
+    controller: Annotated[
+        str, typer.Option(help="evolved (signed, shipped with flora), a built-in one, or a .controller.json file.")
+    ] = EVOLVED,
     fault: Annotated[
         list[str] | None, typer.Option(metavar="NAME@HOUR[:HOURS][=ARG]", help="A fault of the menu; repeatable.")
     ] = None,
@@ -41,7 +44,8 @@ def demo(
         seed=seed,
         rate=parse_speed(speed),
         hours=hours,
-        controller=str(Path(controller).resolve()) if controller.endswith(".json") else controller,
+        controller=str(CONTROLLER) if controller == EVOLVED else _named(controller),
+        keys_dir=KEYS_DIR if controller == EVOLVED else None,
         goes_on=True,
         faults=tuple(parse_fault(text) for text in fault or ()),
         quiet=quiet,
@@ -50,3 +54,8 @@ def demo(
     figures, outcome = run_experiment(asked, console)
     tell(console, out, figures, outcome)
     check_photographs(outcome)
+
+
+def _named(controller: str) -> str:
+    """A file by its full path: services have a working folder of their own."""
+    return str(Path(controller).resolve()) if controller.endswith(".json") else controller

@@ -45,6 +45,7 @@ class Experiment:
         hours: length of the run.
         controller: a built-in name, the path of a controller file, or one that is read already. Of that the rig gets a
             copy of its own, so that nothing that happens to the file changes the run.
+        keys_dir: where given, a controller file that is named must be signed by one of the keys in it.
         target, obstacle: the task.
         stop_height_cm: height of the tip that counts as the end.
         goes_on: for all its hours, whatever the plant does; else the run ends where it is over.
@@ -58,6 +59,7 @@ class Experiment:
     rate: float = 0.0
     hours: float = RUN_HOURS
     controller: str | LoadedController = "waypoint"
+    keys_dir: Path | None = None
     target: Target = REALITY_TARGET
     obstacle: Obstacle = REALITY_OBSTACLE
     stop_height_cm: float = STOP_HEIGHT_CM
@@ -138,7 +140,10 @@ def _make_rig(asked: Experiment) -> Layout:
     task = with_task(run_file, asked.target, asked.obstacle)
     root = asked.out / RIG_FOLDER
     if not isinstance(asked.controller, LoadedController):
-        return make_layout(root, task, sections={"controller": {"use": asked.controller}})
+        named = {"use": asked.controller}
+        if asked.keys_dir is not None:
+            named |= {"trust": "required", "keys_dir": str(asked.keys_dir)}
+        return make_layout(root, task, sections={"controller": named})
     copy = root.resolve() / f"steering{SUFFIX}"
     # Whoever signed it, and whatever it was evolved for: this is where that is found out.
     rules = {"use": str(copy), "trust": "none", "task": "any", "stop_height_cm": asked.stop_height_cm}
