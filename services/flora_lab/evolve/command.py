@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
 def evolve(
     simulator: Annotated[Path, typer.Argument(metavar="SIM", help="The simulator folder to evolve in.")],
     *,
-    task: Annotated[str, typer.Option(help="left, middle, or a task file.")],
+    task: Annotated[str, typer.Option(help="left, middle, reality, round, or a task file.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="The folder to write.")] = None,
     runs: Annotated[int, typer.Option(min=1, max=MOST_RUNS, help="Independent runs.")] = RUNS,
     generations: Annotated[int, typer.Option(min=1, max=MOST_GENERATIONS, help="Of each run.")] = GENERATIONS,
@@ -89,8 +89,8 @@ def evolve(
     kept = _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work)
     began = time.monotonic()
     illustrate = importlib.import_module("flora_lab.evolve_report.page").write_report if report else None
-    with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
-        try:
+    try:
+        with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
             with _crew(plan, jobs, cluster) as crew:
                 kept.begin(resume=resume, force=force)
                 states = _module("evolution").evolve(plan, kept, crew, screen)
@@ -98,10 +98,10 @@ def evolve(
             info = _module("evolution_writing").write_evolution(
                 output, plan, states, wall_s=time.monotonic() - began, force=force, illustrate=illustrate
             )
-        except (KeyboardInterrupt, SystemExit):
-            if kept.path.exists() and not quiet:
-                print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
-            raise
+    except (KeyboardInterrupt, SystemExit):
+        if kept.path.exists() and not quiet:
+            print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
+        raise
     kept.remove()
     if as_json:
         typer.echo(json.dumps(_module("summary").as_json(info, output)))

@@ -39,6 +39,13 @@ class SimulatorParcel:
         """The simulator itself; made once in a process."""
         return _unpacked(self.content)
 
+    @property
+    def dataset_sha256(self) -> str:
+        """What the simulator was learned from: the training set's hash, or one over those of all its tracks."""
+        provenance = self.info.provenance
+        tracks = "\n".join(sorted(f"{track.sha256} {track.part}" for track in provenance.track))
+        return provenance.dataset_sha256 or (files.sha256_of_bytes(tracks.encode()) if tracks else "")
+
 
 @functools.lru_cache(maxsize=2)
 def _unpacked(content: tuple[tuple[str, bytes], ...]) -> Simulator[Any]:
