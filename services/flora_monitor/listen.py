@@ -13,6 +13,8 @@ import zmq
 from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
 from flora_common.config import RigSection
+from flora_common.messages import Health
+from flora_monitor.health import HealthBoard
 from flora_monitor.stats import matches, rig_of, topic_text
 
 NO_BUS_AFTER_S: Final = 2.0
@@ -122,6 +124,34 @@ class Listener:
 
     def close(self) -> None:
         self.client.close()
+
+
+def hear_health(
+    listener: Listener, board: HealthBoard, *, pattern: str, limit_s: float, ends_early: bool, give_up_s: float
+) -> bool:
+    """Fill a board from the bus; returns whether the bus answered.
+
+    Args:
+        listener: of ``health``.
+        board: what is heard goes there.
+        pattern: glob on the services' names.
+        limit_s: so long after the bus has answered.
+        ends_early: end as soon as nothing that may still come can change a verdict.
+        give_up_s: so long for the bus to answer.
+    """
+    answered_s: float | None = None
+    for batch in listener.batches(every_s=0.05):
+        for arrival in batch.arrivals:
+            if isinstance(arrival.message, Health) and matches(pattern, arrival.message.source):
+                board.hear(arrival.message, real_s=batch.real_s, is_live=batch.is_live)
+        if not listener.connected:
+            if listener.waited_s > give_up_s:
+                return False
+            continue
+        answered_s = batch.real_s if answered_s is None else answered_s
+        if batch.real_s - answered_s >= limit_s or (ends_early and batch.is_live and board.is_decided):
+            break
+    return True
 
 
 def rigs_on(rig: RigSection) -> list[str]:

@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 from rich.live import Live
 
+from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
 from flora_common.errors import BadInput
@@ -22,8 +23,9 @@ from flora_common.messages import Health
 from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
 from flora_monitor import show, tape
+from flora_monitor.doctor_command import doctor
 from flora_monitor.health import HealthBoard
-from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener
+from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener, hear_health
 from flora_monitor.options import (
     Common,
     Config,
@@ -195,20 +197,16 @@ def health(
     clock = SystemClock()
     expected = [name for name in common.section.services if matches(pattern, name)]
     board = HealthBoard(expected, period_s=period_s, ages_are_known=common.is_this_machine)
-    limit_s = 2.5 * period_s if seconds is None else seconds
-    answered_s: float | None = None
-    for batch in listener.batches(every_s=0.05):
-        for arrival in batch.arrivals:
-            if isinstance(arrival.message, Health) and matches(pattern, arrival.message.source):
-                board.hear(arrival.message, real_s=batch.real_s, is_live=batch.is_live)
-        if not listener.connected:
-            if listener.waited_s > NO_BUS_AFTER_S + 0.2:
-                raise typer.Exit(1)
-            continue
-        answered_s = batch.real_s if answered_s is None else answered_s
-        is_over = batch.real_s - answered_s >= limit_s
-        if is_over or (seconds is None and batch.is_live and board.is_decided):
-            break
+    answered = hear_health(
+        listener,
+        board,
+        pattern=pattern,
+        limit_s=LATE_FACTOR * period_s if seconds is None else seconds,
+        ends_early=seconds is None,
+        give_up_s=NO_BUS_AFTER_S + 0.2,
+    )
+    if not answered:
+        raise typer.Exit(1)
     listener.explain_silence()
     lines = board.lines(real_s=time.monotonic(), mono_ns=clock.mono_ns())
     listener.close()
@@ -218,6 +216,9 @@ def health(
         Console().print(show.health_table(lines))
     if not all(line.ok for line in lines):
         raise typer.Exit(1)
+
+
+app.command()(doctor)
 
 
 @app.command()
