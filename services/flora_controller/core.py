@@ -17,6 +17,7 @@ import numpy as np
 from flora_common.geometry import FloatArray, clearance_cm, fitness
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
+from flora_common.open_loop import OpenLoopSection, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_controller.acceptance import TaskRule, Trust
@@ -25,12 +26,10 @@ from flora_controller.record import Record
 from flora_controller.shadow import MOST_SWITCHES_PER_H, Shadow, Watch, failure
 from flora_controller.steering import (
     Decision,
-    OpenLoopSection,
     Steering,
     TipFollowerSection,
     View,
     WaypointSection,
-    open_loop_side,
 )
 
 LONGEST_REASON: Final = 500

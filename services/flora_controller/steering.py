@@ -9,32 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Final, Literal, Protocol
+from typing import Annotated, Final, Protocol
 
 import msgspec
 import numpy as np
 
 from flora_common.geometry import FloatArray, clearance_cm
+from flora_common.open_loop import OTHER, OpenLoopSection, Side, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
 
 Memory = Mapping[str, float]
-Side = Literal["left", "right"]
-OTHER: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
-HOUR_S: Final = 3600.0
 
 Cm = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
 
 
 ROOM_SHARE: Final = {False: 0.6, True: 0.8}
 """Share of the distance with which a stem passed the obstacle that is left to it: where guarding begins, and ends."""
-
-
-class OpenLoopSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[controller.open_loop]``: lamps in turn, whatever the plant does (the paper's dataset experiments)."""
-
-    hours: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 6.0
-    first: Side = "left"
 
 
 class TipFollowerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -107,12 +98,6 @@ class Steering(Protocol):
     def needs_stem(self) -> bool: ...
 
     def decide(self, view: View, memory: Memory) -> Decision: ...
-
-
-def open_loop_side(time_s: float, section: OpenLoopSection) -> Side:
-    """The lamp of the schedule at a time."""
-    turn = int(max(time_s, 0.0) // (section.hours * HOUR_S))
-    return section.first if turn % 2 == 0 else OTHER[section.first]
 
 
 def _towards(side: Side, reason: str, memory: Memory | None = None) -> Decision:

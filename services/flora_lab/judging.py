@@ -8,7 +8,9 @@ controllers in reality"), because a stiffened stem hits no single point.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +19,9 @@ from flora_common.experiment_file import Ended
 from flora_common.geometry import FloatArray
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.shapes import Obstacle, Target
+
+_SAME_TIME_S: Final = 1.0
+"""Tables tell times in milliseconds, and a tick may be late by a little."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,7 @@ def judge(
     obstacle: Obstacle | None,
     *,
     stop_height_cm: float = STOP_HEIGHT_CM,
+    hours: float = math.inf,
 ) -> Judged:
     """Judge a run.
 
@@ -61,9 +67,11 @@ def judge(
         points_cm: shape (stems, 10, 2).
         target, obstacle: of the run.
         stop_height_cm: height of the tip at which it is over.
+        hours: time at which it is over; a rig may have gone on for a tick.
     """
-    stop_row, ended = _stop(points_cm, obstacle, stop_height_cm)
-    tips, hours = points_cm[:, -1], time_s / 3600.0
+    in_time = max(1, int((time_s <= hours * 3600.0 + _SAME_TIME_S).sum()))
+    stop_row, ended = _stop(points_cm[:in_time], obstacle, stop_height_cm)
+    tips, at_h = points_cm[:, -1], time_s / 3600.0
     over_time = best = at_target = at_stop = reached_h = None
     if target is not None:
         over_time = np.array([geometry.fitness(x, y, target) for x, y in tips.tolist()])
@@ -71,7 +79,7 @@ def judge(
         inside = [target.contains(x, y) for x, y in tips[: stop_row + 1].tolist()]
         if True in inside:
             row = inside.index(True)
-            at_target, reached_h = float(over_time[row]), float(hours[row])
+            at_target, reached_h = float(over_time[row]), float(at_h[row])
     clearance_cm = None
     if obstacle is not None:
         clearance_cm = min(geometry.clearance_cm(points, obstacle) for points in points_cm[: stop_row + 1])
@@ -83,7 +91,7 @@ def judge(
         best_fitness=best,
         fitness_at_target=at_target,
         reached_h=reached_h,
-        collided_h=float(hours[stop_row]) if ended == "collision" else None,
+        collided_h=float(at_h[stop_row]) if ended == "collision" else None,
         clearance_cm=clearance_cm,
     )
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from flora_common.clock import NS
-from flora_common.messages import LightCommand, Setup
+from flora_common.messages import LightCommand, Setup, Tick
+from flora_common.open_loop import PAPERS_TURNS, OpenLoopSection, open_loop_side
 from flora_common.runs import Light
 
 PIXELS_PER_STRIP: Final = 144
@@ -24,7 +25,7 @@ each."""
 IDLE_A: Final = 0.001
 """A pixel's controller alone, dark: about 1 mA (WS2812B at 5 V, an estimate from measurements by makers)."""
 
-Fallback = Literal["dark", "left", "right", "both", "hold"]
+Fallback = Literal["dark", "left", "right", "both", "hold", "open-loop"]
 Rgb = tuple[int, int, int]
 DARK: Final[Rgb] = (0, 0, 0)
 
@@ -80,11 +81,19 @@ class Lease:
     """A command holds for ``lease_s`` of rig time from when it was given; then the fallback shines.
 
     A setup run goes before commands while it is active.
+
+    Args:
+        lease_s: rig time.
+        fallback: what shines without commands. ``open-loop`` needs neither stem nor flora-controller: lamps in turn, by
+            the run's time as the last tick told it, by the rig's clock before the first tick.
+        open_loop: the turns.
     """
 
-    def __init__(self, lease_s: float, fallback: Fallback) -> None:
+    def __init__(self, lease_s: float, fallback: Fallback, open_loop: OpenLoopSection = PAPERS_TURNS) -> None:
         self._lease_ns = round(lease_s * NS)
         self._fallback = fallback
+        self._open_loop = open_loop
+        self._run_zero_ns = 0
         self._command: LightCommand | None = None
         self._until_ns = 0
         self._setup: Setup | None = None
@@ -93,6 +102,11 @@ class Lease:
         """A command was heard; its age counts from its own time, and one from the future counts from now."""
         self._command = command
         self._until_ns = min(command.t_mono_ns, now_ns) + self._lease_ns
+
+    def beat(self, tick: Tick) -> None:
+        """A tick of the run was heard: it tells which time of the run it is."""
+        if tick.purpose == "run":
+            self._run_zero_ns = tick.t_mono_ns - round(tick.time_s * NS)
 
     def setup(self, setup: Setup | None) -> None:
         """A setup run asks for lamps; None or inactive: it is over."""
@@ -115,7 +129,14 @@ class Lease:
         if command is not None and now_ns <= self._until_ns:
             return Wanted(command.light, command.light, tick=command.tick)
         last: Light = command.light if command else "dark"
-        light: Light = last if self._fallback == "hold" else self._fallback
+        light = self._without_command(last, now_ns)
         lease_s = self._lease_ns / NS
         reason = f"no command for more than {lease_s:g} s" if command else "no command yet"
         return Wanted(light, last if command else light, command.tick if command else 0, True, 0, reason)
+
+    def _without_command(self, last: Light, now_ns: int) -> Light:
+        if self._fallback == "hold":
+            return last
+        if self._fallback == "open-loop":
+            return open_loop_side((now_ns - self._run_zero_ns) / NS, self._open_loop)
+        return self._fallback

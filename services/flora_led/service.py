@@ -9,6 +9,7 @@ import msgspec
 from flora_common.app import App, Timer
 from flora_common.errors import LampsDead
 from flora_common.messages import Lamps, LightCommand, Setup, Tick
+from flora_common.open_loop import OpenLoopSection
 from flora_led.backends import Strips
 from flora_led.core import DARK, Fallback, Lease, Wanted, current_a, lit, shown
 
@@ -34,6 +35,7 @@ class LedSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     current_cap_a: Annotated[float, msgspec.Meta(ge=0.5, le=100.0)] = 8.0
     lease_s: Annotated[float, msgspec.Meta(gt=0.0, le=604_800.0)] = 900.0
     fallback: Fallback = "dark"
+    open_loop: OpenLoopSection = OpenLoopSection()
 
 
 class LedService:
@@ -47,7 +49,7 @@ class LedService:
     def __init__(self, app: App[LedSection], strips: Strips) -> None:
         self._app = app
         self._strips = strips
-        self._lease = Lease(app.config.lease_s, app.config.fallback)
+        self._lease = Lease(app.config.lease_s, app.config.fallback, app.config.open_loop)
         self._ready = False
         self._now: Wanted | None = None
         """What shines; None where the last write failed."""
@@ -89,6 +91,7 @@ class LedService:
 
     def _beat(self, tick: Tick) -> None:
         """What shines without fresh commands is told again with each tick, so that it does not look like silence."""
+        self._lease.beat(tick)
         wanted = self._wanted()
         is_unanswered = wanted.setup_step == 0 and tick.tick > wanted.tick + 1
         if wanted != self._now or wanted.fallback or is_unanswered:

@@ -52,3 +52,11 @@ def test_without_target_and_obstacle_there_is_only_an_end() -> None:
 
     assert (judged.ended, judged.stop_row) == ("time", 1)
     assert (judged.fitness_at_stop, judged.best_fitness, judged.fitness_over_time, judged.clearance_cm) == (None,) * 4
+
+
+def test_what_comes_after_the_time_is_over_does_not_count() -> None:
+    run = stems((0.0, 6.0), (0.0, 7.0), (0.0, 8.0), (0.0, 9.0))
+    judged = judge(*run, TARGET, None, hours=2.0 + 0.2 / 3600.0)
+    assert (judged.stop_row, judged.ended) == (2, "time")
+    assert judged.best_fitness == judged.fitness_at_stop
+    assert judge(*run, TARGET, None).stop_row == 3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flora_common.geometry import FloatArray, clearance_cm, collides, fitness
+from flora_common.open_loop import OpenLoopSection
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
 from flora_controller.core import ControllerSection
@@ -15,7 +16,6 @@ from flora_controller.source import built_in
 from flora_controller.steering import (
     Dark,
     OpenLoop,
-    OpenLoopSection,
     Steering,
     TipFollower,
     TipFollowerSection,

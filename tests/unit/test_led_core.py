@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flora_common.clock import NS
-from flora_common.messages import LightCommand, Setup
+from flora_common.messages import LightCommand, Setup, Tick
+from flora_common.open_loop import OpenLoopSection
 from flora_led.core import BYTES_PER_STRIP, CHAIN_BYTES, DARK, Lease, current_a, lit, shown
 
 LIGHTS = ("dark", "left", "right", "both")
@@ -98,3 +99,37 @@ def test_a_setup_run_goes_before_commands() -> None:
     assert (wanted.light, wanted.setup_step, wanted.tick, wanted.fallback) == ("both", 2, 0, False)
     lease.setup(Setup(active=False))
     assert (lease.wanted(ns(10.0)).light, lease.wanted(ns(10.0)).tick) == ("left", 4)
+
+
+def test_the_open_loop_is_that_of_the_run_whose_last_tick_was_heard() -> None:
+    lease = Lease(900.0, "open-loop")
+    lease.beat(Tick(tick=70, time_s=5.9 * 3600.0, t_mono_ns=ns(100_000.0)))
+    assert (lease.wanted(ns(100_000.0)).light, lease.wanted(ns(100_000.0)).fallback) == ("left", True)
+    assert lease.wanted(ns(100_000.0 + 0.2 * 3600.0)).light == "right"
+    assert lease.wanted(ns(100_000.0 + 6.2 * 3600.0)).light == "left"
+
+
+def test_a_command_goes_before_the_open_loop_and_a_setup_run_before_both() -> None:
+    lease = Lease(900.0, "open-loop", OpenLoopSection(hours=1.0, first="left"))
+    lease.command(command("right", 0.0), 0)
+    assert lease.wanted(ns(10.0)).light == "right"
+    assert lease.wanted(ns(1000.0)).light == "left"
+    lease.setup(Setup(active=True, step=1, steps=4, lamps="both"))
+    assert lease.wanted(ns(1000.0)).light == "both"
+
+
+def test_before_the_first_tick_the_open_loop_counts_from_the_start_of_the_clock() -> None:
+    lease = Lease(900.0, "open-loop", OpenLoopSection(hours=2.0, first="right"))
+    assert [lease.wanted(ns(hours * 3600.0)).light for hours in (0.0, 1.9, 2.1, 4.1)] == [
+        "right",
+        "right",
+        "left",
+        "right",
+    ]
+
+
+def test_a_picture_of_the_empty_setup_does_not_move_the_schedule() -> None:
+    lease = Lease(900.0, "open-loop")
+    lease.beat(Tick(tick=1, time_s=5.0 * 3600.0, t_mono_ns=0))
+    lease.beat(Tick(tick=2, time_s=0.0, t_mono_ns=0, purpose="background", shot="left.jpg"))
+    assert lease.wanted(ns(2.0 * 3600.0)).light == "right"

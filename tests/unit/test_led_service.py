@@ -11,6 +11,7 @@ import pytest
 from device_fakes import FakeApp
 from flora_common.errors import LampsDead
 from flora_common.messages import Lamps, LightCommand, Setup, Tick
+from flora_common.open_loop import OpenLoopSection
 from flora_led.backends.neopixel import NeoPixelStrips
 from flora_led.core import BYTES_PER_STRIP
 from flora_led.service import LedSection, LedService
@@ -104,6 +105,19 @@ def test_the_fallback_comes_by_itself_and_is_told(start: Start) -> None:
     assert "lease" in app.troubles
     app.hear(command("right", 6))
     assert app.troubles == {}
+
+
+def test_without_commands_the_open_loop_goes_on_by_itself_and_is_told(start: Start) -> None:
+    app, _ = start(fallback="open-loop", open_loop=OpenLoopSection(hours=1.0, first="right"))
+    began_ns = app.clock.mono_ns()
+    app.hear(Tick(tick=5, time_s=0.0, t_mono_ns=began_ns), command("left", 5, t_mono_ns=began_ns))
+    seen = ["left"]
+    for _ in range(80):
+        app.pass_s(120.0)
+        if app.said[-1].lit != seen[-1]:
+            seen.append(app.said[-1].lit)
+    assert seen == ["left", "right", "left", "right"]  # the command, then the schedule of the run: hours 0, 1 and 2
+    assert "fallback right" in app.troubles["lease"]
 
 
 def test_the_beat_looks_at_the_lease_too(start: Start) -> None:

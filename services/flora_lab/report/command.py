@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +32,9 @@ def report(
     stop_height_cm: Annotated[
         float, typer.Option("--stop-height", min=0.1, max=500.0, help="The run was over with the tip this high, in cm.")
     ] = STOP_HEIGHT_CM,
+    longest_h: Annotated[
+        float, typer.Option("--hours", min=0.1, help="The run was over after so many hours at the latest.")
+    ] = math.inf,
     note: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="A further row of the table.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
 ) -> None:
@@ -40,7 +44,7 @@ def report(
 
     folder = RunFolder(run)
     notes = [_note(text) for text in note or []]
-    summary = summarise(folder, stop_height_cm=stop_height_cm)
+    summary = summarise(folder, stop_height_cm=stop_height_cm, longest_h=longest_h)
     panels = strip.strip(folder, summary)
     drawn = {
         "shapes": figures.shapes(summary),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 from flora_common.errors import BadRunFolder
@@ -46,12 +47,13 @@ class RunSummary:
     switches: int
 
 
-def summarise(folder: RunFolder, *, stop_height_cm: float = STOP_HEIGHT_CM) -> RunSummary:
+def summarise(folder: RunFolder, *, stop_height_cm: float = STOP_HEIGHT_CM, longest_h: float = math.inf) -> RunSummary:
     """Read and judge a run folder.
 
     Args:
         folder: of the run.
         stop_height_cm: height of the tip at which the run was over.
+        longest_h: time at which it was over at the latest.
 
     Raises:
         BadRunFolder: run.toml, frames.csv or track.csv is missing or unusable.
@@ -62,7 +64,12 @@ def summarise(folder: RunFolder, *, stop_height_cm: float = STOP_HEIGHT_CM) -> R
         raise BadRunFolder(f"{folder.frames_csv}: holds no frames")
     track = read_track(folder.track_csv)
     judged = judge(
-        track.time_s, track.points_cm, run.target_or_none(), run.obstacle_or_none(), stop_height_cm=stop_height_cm
+        track.time_s,
+        track.points_cm,
+        run.target_or_none(),
+        run.obstacle_or_none(),
+        stop_height_cm=stop_height_cm,
+        hours=longest_h,
     )
     return RunSummary(
         run=run,

@@ -120,7 +120,12 @@ def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any],
         took_s=time.monotonic() - began_s,
     )
     figures = write_report(
-        layout, asked.out, outcome, controller=asked.controller_name, stop_height_cm=asked.stop_height_cm
+        layout,
+        asked.out,
+        outcome,
+        controller=asked.controller_name,
+        stop_height_cm=asked.stop_height_cm,
+        hours=asked.hours,
     )
     return figures, outcome
 

@@ -40,7 +40,7 @@ class Outcome:
 
 
 def write_report(
-    layout: Layout, out: Path, outcome: Outcome, *, controller: str, stop_height_cm: float
+    layout: Layout, out: Path, outcome: Outcome, *, controller: str, stop_height_cm: float, hours: float
 ) -> dict[str, Any]:
     """Write ``report.html`` and ``strip.png``; returns the report's figures.
 
@@ -53,6 +53,7 @@ def write_report(
             *(command("flora-lab"), "report", str(layout.run.path), "--json"),
             *("-o", str(out / "report.html"), "--strip", str(out / "strip.png")),
             *("--title", "A virtual bean, steered round an obstacle", "--stop-height", f"{stop_height_cm:g}"),
+            *("--hours", f"{hours:g}"),
             *(part for name, value in notes.items() for part in ("--note", f"{name}={value}")),
         ],
         capture_output=True,
