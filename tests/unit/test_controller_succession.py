@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from controller_rig import TARGET, Rig, diverging, stem, tip_only
 
+from controller_rig import TARGET, Rig, diverging, stem, tip_only
 from flora_common.controller_file import LoadedController
 from flora_common.errors import DiskFull
 from flora_common.messages import Stem
