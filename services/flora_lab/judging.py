@@ -96,6 +96,11 @@ def judge(
     )
 
 
+def percent(fitness: float) -> str:
+    """A fitness as people read it."""
+    return f"{100.0 * fitness:.1f} %"
+
+
 def reason(ended: Ended, stop_height_cm: float = STOP_HEIGHT_CM) -> str:
     """Why a run was over, as the end of a sentence."""
     words: dict[Ended, str] = {

@@ -18,13 +18,11 @@ from simulator_fakes import StraightPlant
 from flora_common.controller_file import LoadedController
 from flora_common.files import sha256_of_bytes
 from flora_common.geometry import FloatArray
-from flora_common.runs import TRACK_HEADER, Light, track_line
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
 from flora_lab.evolve.controllers import FromFile, controller_of
-from flora_lab.evolve.episode import Course, run_episode
+from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.evolution_folder import (
-    EpisodeEntry,
     Evolution,
     EvolutionFile,
     History,
@@ -33,9 +31,9 @@ from flora_lab.evolve.evolution_folder import (
     SimulatorEntry,
     TookEntry,
 )
+from flora_lab.evolve.evolution_writing import episode_entry, episode_track
 from flora_lab.evolve.task import LEFT, Task, averages
 from flora_lab.evolve.task_file import task_text
-from flora_lab.simulator.measured import STEP_S
 
 FAST = StraightPlant(speed=20.0)
 """A plant that takes a twentieth of the time, so that an episode has few steps."""
@@ -107,7 +105,7 @@ def write_fake(path: Path, fake: Fake) -> Path:
         simulator=SimulatorEntry(fake.simulator, "straight", "a" * 64, "b" * 64),
         individuals=IndividualsEntry(fake.individuals, 1, "mean"),
         run=runs,
-        episode=[_episode(place, course) for place, course in enumerate(courses)],
+        episode=[episode_entry(place, course) for place, course in enumerate(courses)],
         took=TookEntry(12.5, 20.25, 3.5, 0.25),
     )
     for part in (folder.CONTROLLERS, folder.EPISODES):
@@ -119,7 +117,7 @@ def write_fake(path: Path, fake: Fake) -> Path:
     (path / folder.SETTINGS_FILE).write_text("[NEAT]\n")
     (path / folder.HISTORY_FILE).write_text(folder.history_text(told, fake.task))
     for entry, course in zip(info.episode, courses, strict=True):
-        (path / entry.file).write_text(_track(course))
+        (path / entry.file).write_text(episode_track(course))
     (path / folder.INFO_FILE).write_text(to_toml(info))
     return path
 
@@ -156,20 +154,6 @@ def _run(fake: Fake, told: History, place: int, champion: LoadedController) -> R
         controller=f"{folder.CONTROLLERS}/run-{place + 1:02d}.controller.json",
         sha256=sha256_of_bytes(champion.data),
     )
-
-
-def _episode(place: int, course: Course) -> EpisodeEntry:
-    file = folder.episode_file(place, course.scenario)
-    return EpisodeEntry(
-        course.scenario.name, file, course.reason, course.fitness, round(course.hours, 6), course.clearance_cm
-    )
-
-
-def _track(course: Course) -> str:
-    lights: list[Light] = ["dark", *("right" if right else "left" for right in course.is_right)]
-    rows = zip(lights, course.stems_cm, strict=True)
-    lines = [track_line(k * STEP_S, light, stem) for k, (light, stem) in enumerate(rows)]
-    return "\n".join([TRACK_HEADER, *lines]) + "\n"
 
 
 def layered(hidden: int, seed: int, *, columns: int = 3) -> Any:

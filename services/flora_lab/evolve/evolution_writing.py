@@ -14,7 +14,7 @@ from neat.nn import FeedForwardNetwork
 
 from flora_common import files
 from flora_common.controller_file import parse_controller
-from flora_common.runs import TRACK_HEADER, Light, track_line
+from flora_common.runs import Light, track_text
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
 from flora_lab.evolve.controllers import FromFile, controller_bytes, export_of
@@ -163,7 +163,7 @@ def write_evolution(
         ),
         individuals=IndividualsEntry(plan.individuals.count, plan.individuals.seed, plan.individuals.judge),
         run=[one.entry for one in champions],
-        episode=[_entry(place, course) for place, course in enumerate(courses)],
+        episode=[episode_entry(place, course) for place, course in enumerate(courses)],
         took=_took(states, wall_s),
     )
     with files.whole_folder(path, replace=force) as new:
@@ -176,7 +176,7 @@ def write_evolution(
         (new / folder.SETTINGS_FILE).write_text(plan.settings.text, encoding="utf-8")
         (new / folder.HISTORY_FILE).write_text(folder.history_text(history_of(states), plan.task), encoding="utf-8")
         for place, course in enumerate(courses):
-            (new / folder.episode_file(place, course.scenario)).write_text(_track_text(course), encoding="utf-8")
+            (new / folder.episode_file(place, course.scenario)).write_text(episode_track(course), encoding="utf-8")
         (new / folder.INFO_FILE).write_text(to_toml(info), encoding="utf-8")
         if illustrate is not None:
             illustrate(new)
@@ -188,17 +188,15 @@ def _took(states: Sequence[RunState], wall_s: float) -> TookEntry:
     return TookEntry(*(round(value, 3) for value in (wall_s, took.evaluation_s, took.neat_s, took.other_s)))
 
 
-def _entry(place: int, course: Course) -> EpisodeEntry:
+def episode_entry(place: int, course: Course) -> EpisodeEntry:
+    """What ``evolution.toml`` says of the episode in the scenario at ``place``, from 0."""
     file = folder.episode_file(place, course.scenario)
     return EpisodeEntry(
         course.scenario.name, file, course.reason, course.fitness, round(course.hours, 6), course.clearance_cm
     )
 
 
-def _track_text(course: Course) -> str:
+def episode_track(course: Course) -> str:
     """A track; each row's light shone before it, and before the first row nothing did."""
     lights: list[Light] = ["dark", *("right" if right else "left" for right in course.is_right)]
-    rows = zip(lights, course.stems_cm, strict=True)
-    return (
-        "\n".join([TRACK_HEADER, *(track_line(k * STEP_S, light, stem) for k, (light, stem) in enumerate(rows))]) + "\n"
-    )
+    return track_text((k * STEP_S for k in range(len(lights))), lights, course.stems_cm)

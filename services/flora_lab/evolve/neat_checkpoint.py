@@ -20,6 +20,7 @@ from flora_common.errors import BadInput
 from flora_lab.evolve.neat_engine import Counter, NeatEngine
 from flora_lab.evolve.neat_fast import FAST
 from flora_lab.evolve.neat_settings import NeatSettings, NeatTypes
+from flora_lab.evolve.sealed import opened, sealed
 
 FORMAT: Final = "flora-neat-1"
 _RANDOM_WORDS: Final = 625
@@ -108,12 +109,6 @@ class EngineState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     best: GenomeState | None
 
 
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    format: str
-    sha256: str
-    engine: msgspec.Raw
-
-
 def state_of(engine: NeatEngine) -> EngineState:
     """What an engine's future depends on. The engine is left as it is."""
     version, words, gauss_next = engine.randomness.state
@@ -187,8 +182,7 @@ def engine_from(state: EngineState, settings: NeatSettings, types: NeatTypes = F
 
 def encode(engine: NeatEngine) -> bytes:
     """An engine's state as a file's content; the same state gives the same bytes."""
-    body = msgspec.json.encode(state_of(engine))
-    return msgspec.json.encode(_File(FORMAT, files.sha256_of_bytes(body), msgspec.Raw(body)))
+    return sealed(state_of(engine), FORMAT)
 
 
 def decode(data: bytes) -> EngineState:
@@ -197,18 +191,7 @@ def decode(data: bytes) -> EngineState:
     Raises:
         BadInput: not such a file, or damaged.
     """
-    try:
-        file = msgspec.json.decode(data, type=_File)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
-        raise BadInput(f"is damaged or no saved evolution ({str(problem)[:100]})") from problem
-    if file.format != FORMAT:
-        raise BadInput(f"has the format `{file.format[:20]}`; this program reads `{FORMAT}`")
-    if files.sha256_of_bytes(bytes(file.engine)) != file.sha256:
-        raise BadInput("is damaged: its content does not fit its SHA-256")
-    try:
-        return msgspec.json.decode(file.engine, type=EngineState)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
-        raise BadInput(f"is no saved evolution ({str(problem)[:100]})") from problem
+    return opened(data, FORMAT, EngineState, "saved evolution")
 
 
 def save(path: Path, engine: NeatEngine) -> None:

@@ -13,8 +13,6 @@ from typing import Annotated, Any, Final
 import msgspec
 import numpy as np
 
-from flora_common import files
-from flora_common.errors import BadInput
 from flora_lab.evolve.controllers import INPUTS
 from flora_lab.evolve.evaluate import Evaluated, evaluate
 from flora_lab.evolve.genome_arrays import GenomeArrays, pack
@@ -22,6 +20,7 @@ from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.neat_checkpoint import EngineState, engine_from, state_of
 from flora_lab.evolve.neat_engine import NeatEngine
 from flora_lab.evolve.plan import Plan
+from flora_lab.evolve.sealed import opened, sealed
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 
@@ -91,12 +90,6 @@ class RunState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     took: Took = Took()
 
 
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    format: str
-    sha256: str
-    run: msgspec.Raw
-
-
 def first_state(plan: Plan, number: int) -> RunState:
     """Run ``number`` before its first generation.
 
@@ -145,8 +138,7 @@ def is_over(plan: Plan, state: RunState) -> bool:
 
 def encode(state: RunState) -> bytes:
     """A run as a file's content."""
-    body = msgspec.json.encode(state)
-    return msgspec.json.encode(_File(FORMAT, files.sha256_of_bytes(body), msgspec.Raw(body)))
+    return sealed(state, FORMAT)
 
 
 def decode(data: bytes) -> RunState:
@@ -155,15 +147,7 @@ def decode(data: bytes) -> RunState:
     Raises:
         BadInput: not such a file, or damaged.
     """
-    try:
-        file = msgspec.json.decode(data, type=_File)
-        if file.format != FORMAT:
-            raise BadInput(f"has the format `{file.format[:30]}`; this program reads `{FORMAT}`")
-        if files.sha256_of_bytes(bytes(file.run)) != file.sha256:
-            raise BadInput("is damaged: its content does not fit its SHA-256")
-        return msgspec.json.decode(file.run, type=RunState)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
-        raise BadInput(f"is damaged or no run of an evolution ({str(problem)[:100]})") from problem
+    return opened(data, FORMAT, RunState, "run of an evolution")
 
 
 class _Stopwatch:
@@ -192,7 +176,7 @@ class _Tried:
         self._spent.evaluation_s += clock() - packed
         best = int(np.argmax(fitness))
         self._best, self._by_scenario = genomes[best], by_scenario[best]
-        self._plant_steps, self._episode_steps = tried.steps_run, int(tried.outcomes.steps.sum())
+        self._plant_steps, self._episode_steps = tried.steps_run, tried.episode_steps
         return [float(value) for value in fitness]
 
     def row(self, best_fitness: float, median_fitness: float, species: int, is_extinct: bool) -> GenerationRow:

@@ -16,7 +16,7 @@ from flora_lab.evolve.neat_settings import NeatSettings
 from flora_lab.evolve.task import Task
 from flora_lab.evolve.task_file import task_text
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.load import load
+from flora_lab.simulator.load import load, simulator_of
 from flora_lab.simulator.store import INFO_FILE, WEIGHTS_FILE, SimulatorFile, read_stored, software
 
 
@@ -62,7 +62,7 @@ def parcel_of(path: Path) -> SimulatorParcel:
         BadInput: it is none, is damaged, or is of a kind that this program does not know.
     """
     stored = read_stored(path)
-    load(path)
+    simulator_of(stored)
     content = tuple((name, (path / name).read_bytes()) for name in (INFO_FILE, WEIGHTS_FILE))
     return SimulatorParcel(path.resolve().name, stored.info, content)
 

@@ -31,6 +31,7 @@ from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.paper import CELLS, COORDINATES, PaperSimulator
+from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
@@ -38,6 +39,15 @@ INPUT_ROWS: Final = 20
 """Of a tile: 18 coordinates, the light, and one to round up, whose weights are zero."""
 _I, _F, _G, _O = range(4)
 _CELLS_AT_ONCE: Final = 10
+
+
+@jit
+def _stem_points(stem: Array, row: int, unit_cm: float, out: Array) -> None:
+    """The stem of one plant in its tile, in cm; the anchor is no part of a tile."""
+    tile, lane = row // LANES, row % LANES
+    out[0, 0] = out[0, 1] = 0.0
+    for j in range(COORDINATES):
+        out[1 + j // 2, j % 2] = np.float64(stem[tile, j * LANES + lane]) * unit_cm
 
 
 @jit_methods
@@ -64,10 +74,7 @@ class StatelessPlants(NamedTuple):
     hidden: Array
 
     def points(self, row: int, out: Array) -> None:
-        tile, lane = row // LANES, row % LANES
-        out[0, 0] = out[0, 1] = 0.0
-        for j in range(COORDINATES):
-            out[1 + j // 2, j % 2] = np.float64(self.stem[tile, j * LANES + lane]) * self.unit_cm
+        _stem_points(self.stem, row, self.unit_cm, out)
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         for tile in range((rows + LANES - 1) // LANES):
@@ -118,10 +125,7 @@ class StatefulPlants(NamedTuple):
     after: Array
 
     def points(self, row: int, out: Array) -> None:
-        tile, lane = row // LANES, row % LANES
-        out[0, 0] = out[0, 1] = 0.0
-        for j in range(COORDINATES):
-            out[1 + j // 2, j % 2] = np.float64(self.stem[tile, j * LANES + lane]) * self.unit_cm
+        _stem_points(self.stem, row, self.unit_cm, out)
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         chunk = 4 * _CELLS_AT_ONCE

@@ -7,6 +7,7 @@ from statistics import median
 from typing import Any
 
 from flora_lab.evolve.evolution_folder import BEST_FILE, EvolutionFile, RunEntry
+from flora_lab.judging import percent
 
 
 def as_json(info: EvolutionFile, output: Path) -> dict[str, Any]:
@@ -44,19 +45,19 @@ def text(info: EvolutionFile, output: Path) -> str:
     best = _best(info)
     lines = [
         f"task       {info.task}: {info.runs} runs of {info.generations} generations, population {info.population}",
-        f"fitness    {_percent(median(run.best_fitness for run in info.run))} median over runs, "
-        f"{_percent(best.best_fitness)} best (run {best.number}, generation {best.generation_of_best})",
+        f"fitness    {percent(median(run.best_fitness for run in info.run))} median over runs, "
+        f"{percent(best.best_fitness)} best (run {best.number}, generation {best.generation_of_best})",
     ]
     if any(run.best_fitness_possible != run.best_fitness for run in info.run):
         possible = median(run.best_fitness_possible for run in info.run)
         lines.append(
-            f"           {_percent(possible)} median, {_percent(best.best_fitness_possible)} best "
+            f"           {percent(possible)} median, {percent(best.best_fitness_possible)} best "
             "without the scenarios that no plant can do"
         )
     name = "episodes"
     for episode in info.episode:
         lines.append(
-            f"{name:<10} {episode.scenario}: {_percent(episode.fitness)} after {episode.hours:.1f} h ({episode.reason})"
+            f"{name:<10} {episode.scenario}: {percent(episode.fitness)} after {episode.hours:.1f} h ({episode.reason})"
         )
         name = ""
     took = info.took
@@ -70,7 +71,3 @@ def text(info: EvolutionFile, output: Path) -> str:
 
 def _best(info: EvolutionFile) -> RunEntry:
     return info.run[info.best_run - 1]
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %"

@@ -17,6 +17,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 from flora_common.runs import Light
+from flora_lab import judging
 from flora_lab.evolve.evolution_folder import EpisodeTrack
 from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
@@ -80,7 +81,7 @@ class _Panel:
         (path,) = ax.plot([], [], color=TARGET, linewidth=0.8)
         (stem,) = ax.plot([], [], color=STEM, linewidth=2.6, solid_capstyle="round")
         (tip,) = ax.plot([], [], "o", color=STEM, markersize=4)
-        told = ax.set_xlabel(f"{words.ended(episode.reason, task)}: {words.percent(episode.fitness)}", fontsize=8)
+        told = ax.set_xlabel(f"{words.ended(episode.reason, task)}: {judging.percent(episode.fitness)}", fontsize=8)
         return cls(ax, episode, stem, path, tip, draw_lamps(ax), told)
 
     @property

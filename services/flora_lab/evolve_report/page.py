@@ -6,7 +6,7 @@ from pathlib import Path
 from statistics import median
 
 from flora_common import files
-from flora_lab import html_page
+from flora_lab import html_page, judging
 from flora_lab.evolve import evolution_folder
 from flora_lab.evolve.evolution_folder import Evolution
 from flora_lab.evolve_report import tables, words
@@ -68,13 +68,13 @@ def _headline(evolution: Evolution) -> list[tuple[str, str]]:
     best = runs[evolution.info.best_run - 1]
     middle = median(run.best_fitness for run in runs)
     figures = [
-        (words.percent(best.best_fitness), f"fitness of the best controller, run {best.number}"),
-        (words.percent(middle), f"median over {words.runs_text(len(runs))}"),
+        (judging.percent(best.best_fitness), f"fitness of the best controller, run {best.number}"),
+        (judging.percent(middle), f"median over {words.runs_text(len(runs))}"),
     ]
     if not evolution.task.is_possible.all():
-        figures.append((words.percent(best.best_fitness_possible), "the best, without impossible scenarios"))
+        figures.append((judging.percent(best.best_fitness_possible), "the best, without impossible scenarios"))
         middle = median(run.best_fitness_possible for run in runs)
-        figures.append((words.percent(middle), "median, without impossible scenarios"))
+        figures.append((judging.percent(middle), "median, without impossible scenarios"))
     return figures
 
 
@@ -84,8 +84,8 @@ def _beside_the_paper(evolution: Evolution) -> list[str]:
     if theirs is None:
         return []
     runs = evolution.info.run
-    best = words.percent(max(run.best_fitness for run in runs))
-    middle = words.percent(median(run.best_fitness for run in runs))
+    best = judging.percent(max(run.best_fitness for run in runs))
+    middle = judging.percent(median(run.best_fitness for run in runs))
     text = (
         f"Wahby et al. 2018 tell {theirs:g} % for one of the best controllers of their 20 runs of 1000 generations in "
         f"this task, with a simulator, a start of the plant and settings of NEAT of their own. Here the best run has "

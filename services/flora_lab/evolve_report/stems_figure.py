@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from flora_lab import judging
 from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution
 from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
@@ -98,7 +99,7 @@ def _panel(ax: Axes, episode: EpisodeTrack, task: Task, window: Window) -> None:
     light_lamps(draw_lamps(ax), light)
     title = words.panel_title(episode.scenario)
     end = f"{words.ended(episode.reason, task)}, {words.hours_of(episode):.1f} h"
-    ax.set_title(f"{title}\n{words.percent(episode.fitness)}: {end}", fontsize=8, parse_math=False)
+    ax.set_title(f"{title}\n{judging.percent(episode.fitness)}: {end}", fontsize=8, parse_math=False)
 
 
 def _lamp_strip(ax: Axes, episode: EpisodeTrack, longest_h: float) -> None:

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from flora_lab import judging
 from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution, RunEntry
 from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
@@ -55,10 +56,10 @@ def runs(evolution: Evolution) -> str:
     rows = []
     for run in by_fitness(evolution):
         extinct = int(evolution.history.is_extinct[run.number - 1].sum())
-        row = [str(run.number), words.percent(run.best_fitness), str(run.generation_of_best), str(run.nodes)]
+        row = [str(run.number), judging.percent(run.best_fitness), str(run.generation_of_best), str(run.nodes)]
         row += [str(run.links), str(extinct) if extinct else "", str(run.seed)]
         if has_impossible:
-            row.insert(2, words.percent(run.best_fitness_possible))
+            row.insert(2, judging.percent(run.best_fitness_possible))
         rows.append(row)
     return table(names, rows)
 
@@ -105,7 +106,7 @@ def _scenario_row(episode: EpisodeTrack, task: Task) -> list[str]:
         episode.scenario.name + ("" if episode.scenario.is_possible else " (impossible)"),
         f"({target.x_cm:g}, {target.y_cm:g}), radius {target.radius_cm:g}",
         f"({obstacle.x_cm:g}, {obstacle.y_cm:g}), {obstacle.width_cm:g} x {obstacle.height_cm:g}",
-        words.percent(episode.fitness),
+        judging.percent(episode.fitness),
         words.ended(episode.reason, task),
         f"{words.hours_of(episode):.1f}",
         f"{episode.clearance_cm:.1f} cm",

@@ -14,11 +14,6 @@ NAME_SIGNS: Final = 34
 """As many signs of a scenario's name fit over a panel."""
 
 
-def percent(fitness: float) -> str:
-    """A fitness as people read it."""
-    return f"{100.0 * fitness:.1f} %"
-
-
 def ended(reason: Reason, task: Task) -> str:
     """Why an episode ended."""
     if reason == "no answer":

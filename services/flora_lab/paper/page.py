@@ -11,12 +11,13 @@ from typing import Any, Final
 from flora_common import files
 from flora_lab import html_page
 from flora_lab.evolve.task import LEFT, MIDDLE
+from flora_lab.judging import percent
 from flora_lab.paper import tables
 from flora_lab.paper.figures import Picture, draw_all
 from flora_lab.paper.pipeline import SIDE_WORDS, SIDES, TASKS, steps_of
 from flora_lab.paper.published import PUBLISHED, REALITY_PICTURES_H
 from flora_lab.paper.results import Results
-from flora_lab.paper.rows import PERCENT, Row
+from flora_lab.paper.rows import Row
 from flora_lab.paper.screen import duration
 
 REPORT_FILE: Final = "report.html"
@@ -80,11 +81,11 @@ def _tiles(results: Results) -> list[tuple[str, str]]:
     for of in SIDES:
         for task in TASKS:
             info = results.evolutions[of, task.name].info
-            best = f"{PERCENT * info.run[info.best_run - 1].best_fitness:.1f} %"
+            best = percent(info.run[info.best_run - 1].best_fitness)
             found.append((best, f"{task.name} target, best in the simulator of {SIDE_WORDS[of]}"))
         plants = results.reality[of].plants
         mean = sum(plant.fitness for plant in plants) / len(plants)
-        found.append((f"{PERCENT * mean:.1f} %", f"virtual plants, controller of {SIDE_WORDS[of]}, mean"))
+        found.append((percent(mean), f"virtual plants, controller of {SIDE_WORDS[of]}, mean"))
     return [*_paper_tiles(), *found]
 
 
@@ -134,19 +135,19 @@ def _tried(results: Results) -> str:
     for of in SIDES:
         one = results.reality[of]
         for place, trial in one.simulated.items():
-            best = f"{PERCENT * trial.best_fitness:.1f} %"
+            best = percent(trial.best_fitness)
             plant = f"typical one of {SIDE_WORDS[place]}"
             lines.append([SIDE_WORDS[of], plant, *_course(trial.fitness, trial.ended, trial.hours), best])
         for virtual in one.plants:
             said = virtual.outcome.measured
-            best = f"{PERCENT * said.best_fitness:.1f} %"
+            best = percent(said.best_fitness)
             plant = f"virtual plant {virtual.outcome.seed}"
             lines.append([SIDE_WORDS[of], plant, *_course(virtual.fitness, said.ended, said.ended_h), best])
     return html_page.table(head, lines)
 
 
 def _course(fitness: float, ended: str, hours: float) -> list[str]:
-    return [f"{PERCENT * fitness:.1f} %", ended, f"{hours:.1f} h"]
+    return [percent(fitness), ended, f"{hours:.1f} h"]
 
 
 def _figures(results: Results, pictures: Sequence[Picture]) -> list[str]:
@@ -162,7 +163,7 @@ def _figures(results: Results, pictures: Sequence[Picture]) -> list[str]:
     for of in SIDES:
         for plant in results.reality[of].plants:
             words = f"Controller of {SIDE_WORDS[of]}, virtual plant {plant.outcome.seed}"
-            caption = f"{words}: {PERCENT * plant.fitness:.1f} %."
+            caption = f"{words}: {percent(plant.fitness)}."
             body.append(html_page.picture(plant.strip_jpeg, "jpeg", alt=words, caption=caption))
     return body
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from flora_common.errors import BadInput
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.store import INFO_FILE, read_stored
+from flora_lab.simulator.store import INFO_FILE, Stored, read_stored
 
 KINDS: Final = {
     "paper": "flora_lab.simulator.paper:PaperSimulator",
@@ -26,11 +26,20 @@ def load(path: Path) -> Simulator[Any]:
         BadInput: see :func:`flora_lab.simulator.store.read_stored`; a kind that this program does not know; or weights
             and scales that are not what the kind needs.
     """
-    stored = read_stored(path)
+    return simulator_of(read_stored(path))
+
+
+def simulator_of(stored: Stored) -> Simulator[Any]:
+    """The simulated plant that was stored.
+
+    Raises:
+        BadInput: a kind that this program does not know; or weights and scales that are not what the kind needs.
+    """
     place = KINDS.get(stored.info.kind)
     if place is None:
         raise BadInput(
-            f"{path / INFO_FILE}: kind `{stored.info.kind[:40]}` is not known; this program reads {', '.join(KINDS)}"
+            f"{stored.path / INFO_FILE}: kind `{stored.info.kind[:40]}` is not known; "
+            f"this program reads {', '.join(KINDS)}"
         )
     module, _, name = place.partition(":")
     simulator: Simulator[Any] = getattr(importlib.import_module(module), name).from_stored(stored)
