@@ -74,8 +74,18 @@ def _acting(seen: float) -> float:
 
 
 @inlined
-def _light_across(x: float, y: float, sin: float, cos: float, left: float, right: float, lamps_cm: Array) -> float:
-    """S * l_n at a place, for the levels that act."""
+def _light_across(
+    x: float,
+    y: float,
+    sin: float,
+    cos: float,
+    left: float,
+    right: float,
+    left_pull: float,
+    right_pull: float,
+    lamps_cm: Array,
+) -> float:
+    """S * l_n at a place, for the levels that act; each lamp's part of it times its pull."""
     up = lamps_cm[1] - y
     to_left, to_right = -lamps_cm[0] - x, lamps_cm[0] - x
     left_2 = max(to_left * to_left + up * up, _NEAREST_CM**2)
@@ -85,8 +95,10 @@ def _light_across(x: float, y: float, sin: float, cos: float, left: float, right
     by_left, by_right = left * right_3, right * left_3
     fx, fy = to_left * by_left + to_right * by_right, up * (by_left + by_right)
     size = np.sqrt(fx * fx + fy * fy)
+    by_left, by_right = left_pull * by_left, right_pull * by_right
+    pull_x, pull_y = to_left * by_left + to_right * by_right, up * (by_left + by_right)
     brightness = (lamps_cm[0] ** 2 + lamps_cm[1] ** 2) * size / (left_3 * right_3)
-    across = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE * (fx * cos - fy * sin) / size
+    across = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE * (pull_x * cos - pull_y * sin) / size
     return 0.0 if brightness < _DARK else float(across)
 
 
@@ -101,6 +113,8 @@ def _bend(
     seen: Array,
     p: Array,
     lamps_cm: Array,
+    left_pull: float,
+    right_pull: float,
     bias: float,
     dt_h: float,
 ) -> None:
@@ -114,9 +128,8 @@ def _bend(
         share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / MATURE_EDGE_CM))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
     for j in range(whole_registers(n)):
-        stimulus = (
-            p[PHOTO] * _light_across(x[j], y[j], sin[j], cos[j], left, right, lamps_cm) - p[GRAVI] * sin[j] + bias
-        )
+        light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, lamps_cm)
+        stimulus = p[PHOTO] * light - p[GRAVI] * sin[j] + bias
         pull[j] = reach[j] * stimulus
     turn = below = 0.0
     for j in range(n):
@@ -130,6 +143,33 @@ def _bend(
 def _growth_cm_per_h(total_cm: float, p: Array) -> float:
     """Elongation of the whole stem."""
     return float((p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * lateness(total_cm)) / 24.0)
+
+
+@inlined
+def driven_step_lane(
+    length: Array,
+    angle: Array,
+    n: int,
+    seen: Array,
+    p: Array,
+    lamps_cm: Array,
+    left: float,
+    right: float,
+    left_pull: float,
+    right_pull: float,
+    bias: float,
+    growth: float,
+    activity: float,
+    dt_h: float,
+) -> int:
+    """As :func:`step_lane`; the pull of each lamp and the rate of all bending can be other than 1."""
+    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    total = along(length, n, arc, reach)
+    _see(seen, left, right, p[LATENCY], dt_h)
+    bend_h = dt_h * activity
+    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, left_pull, right_pull, bias, bend_h)
+    elongate(length, n, arc, total, p[GROWTH_ZONE], max(0.0, growth) * _growth_cm_per_h(total, p) * dt_h)
+    return int(split(length, angle, n))
 
 
 @jit
@@ -147,12 +187,7 @@ def step_lane(
     dt_h: float,
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
-    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    total = along(length, n, arc, reach)
-    _see(seen, left, right, p[LATENCY], dt_h)
-    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, bias, dt_h)
-    elongate(length, n, arc, total, p[GROWTH_ZONE], max(0.0, growth) * _growth_cm_per_h(total, p) * dt_h)
-    return int(split(length, angle, n))
+    return driven_step_lane(length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, growth, 1.0, dt_h)
 
 
 def _lanes(
@@ -204,12 +239,12 @@ class TropismLaw:
     """
 
     traits: Final = NAMES
-    memory_shape: Final = (2, 2)
+    memory_shape: tuple[int, ...] = (2, 2)
     """What is seen of the lamps: stage, lamp."""
 
     def __init__(self, lamps: LampsSection) -> None:
         self.lamps = lamps
-        self._lamps_cm = np.array([lamps.distance_cm, lamps.height_cm])
+        self.lamps_cm = np.array([lamps.distance_cm, lamps.height_cm])
 
     def advance(
         self,
@@ -223,8 +258,7 @@ class TropismLaw:
         out: Array,
     ) -> None:
         """See :meth:`flora_lab.simulator.law.Law.advance`."""
-        if traits.shape != (len(stems.count), len(NAMES)):
-            raise ValueError(f"traits of shape {traits.shape}; expected ({len(stems.count)}, {len(NAMES)})")
+        self.check_traits(stems, traits)
         constants = np.exp(np.ascontiguousarray(traits, dtype=np.float64))
         _advance(
             len(stems.count) * len(light),
@@ -233,7 +267,7 @@ class TropismLaw:
             stems.count,
             stems.memory,
             constants,
-            self._lamps_cm,
+            self.lamps_cm,
             np.ascontiguousarray(light, dtype=np.float64),
             bias,
             growth,
@@ -241,3 +275,9 @@ class TropismLaw:
             every,
             out,
         )
+
+    @staticmethod
+    def check_traits(stems: Stems, traits: Array) -> None:
+        """Whether there are as many traits as plants; raises ValueError."""
+        if traits.shape != (len(stems.count), len(NAMES)):
+            raise ValueError(f"traits of shape {traits.shape}; expected ({len(stems.count)}, {len(NAMES)})")

@@ -1,0 +1,1 @@
+"""What a simulation gets wrong: shown, named, mended, and the gain measured."""

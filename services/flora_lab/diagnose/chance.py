@@ -1,0 +1,178 @@
+"""What happens by chance, as a sum of parts whose sizes the reference runs tell.
+
+Each part is a Gaussian process of one of the law's drives, or of the measurement, with a fixed shape in time; only its
+size is estimated. Two parts of different times together make any time between. The covariance of a run's features is
+then a sum of known matrices times unknown variances, so that its likelihood has a gradient at the price of an inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.optimize
+
+from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.scene import FEATURES, Answers, Scene
+
+Array = npt.NDArray[Any]
+
+REFERENCE_CM: Final = 20.0
+DAY_H: Final = 24.0
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One thing that happens by chance.
+
+    Attributes:
+        name: with the unit of its size.
+        drive: ``bias``, ``growth`` or ``gain`` of the law, or ``measure``.
+        memory_h: its correlation time; 0 for what is new with each feature.
+        typical: size that it is expected to have, its standard deviation.
+        doubt: standard deviation of the logarithm of that.
+        period_h: of a part that swings; 0 for none.
+    """
+
+    name: str
+    drive: str
+    memory_h: float
+    typical: float
+    doubt: float = 1.0
+    period_h: float = 0.0
+
+
+PARTS: Final = (
+    Part("wander_fast_per_cm_h", "bias", 1.5, 0.01),
+    Part("wander_per_cm_h", "bias", 5.0, 0.015),
+    Part("wander_slow_per_cm_h", "bias", 20.0, 0.008),
+    Part("nutation_per_cm_h", "bias", 5.0, 0.02, 1.5, 1.64),
+    Part("growth_fast_share", "growth", 3.0, 0.06),
+    Part("growth_slow_share", "growth", 12.0, 0.05),
+    Part("growth_rhythm_share", "growth", 1e6, 0.04, 1.0, DAY_H),
+    Part("gain_fast_share", "gain", 3.0, 0.04),
+    Part("gain_slow_share", "gain", 16.0, 0.04),
+    Part("measure_cm", "measure", 0.0, 0.02),
+    Part("wobble_cm", "measure", 2.0, 0.03),
+    Part("wobble_slow_cm", "measure", 12.0, 0.02),
+)
+SMALLEST_MEASURE_CM: Final = 0.005
+_SWINGS: Final = np.array([1.0, 0.25, 0.5, 0.15, 0.03])
+"""How much of the tip's swing each feature has."""
+_SWING_MARGIN: Final = 1.3
+_SWING_LEFT: Final = 0.05
+_ROUNDING: Final = 1e-9
+_LEAST: Final = 0.05
+_MOST: Final = 20.0
+"""How far sizes may go from what is expected, as factors."""
+
+
+def sizes_expected() -> Array:
+    """Shape (12,)."""
+    return np.array([part.typical for part in PARTS])
+
+
+def covariances(scene: Scene, answers: Answers) -> Array:
+    """What each part would give in a run if its size were 1, shape (12, m, m)."""
+    m = scene.size
+    found = np.empty((len(PARTS), m, m))
+    row_h = scene.time_h[scene.window]
+    for i, part in enumerate(PARTS):
+        if part.drive == "measure":
+            lag_h = np.abs(row_h[:, None] - row_h[None, :])
+            alike = (scene.feature[:, None] == scene.feature[None, :]) * _reach(scene)
+            found[i] = alike * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
+            continue
+        at_h = answers.at_h[part.drive]
+        lag_h = np.abs(at_h[:, None] - at_h[None, :])
+        shape = np.exp(-lag_h / part.memory_h)
+        if part.period_h:
+            shape = shape * np.cos(2.0 * np.pi * lag_h / part.period_h)
+        if part.name.startswith("nutation"):
+            size = (answers.length_cm / REFERENCE_CM) ** 2
+            shape = shape * size[:, None] * size[None, :]
+        answer = answers.to[part.drive]
+        found[i] = answer @ shape @ answer.T
+    return found
+
+
+def of_swing(scene: Scene, swing: Swing) -> Array:
+    """What a swing of the tip gives in a run's hourly means, covariance of shape (m, m)."""
+    row_h = scene.time_h[scene.window]
+    lag_h = np.abs(row_h[:, None] - row_h[None, :])
+    share = _SWINGS[scene.feature] * np.sinc(scene.per_window * scene.step_h / swing.period_h)
+    turning = np.cos(2.0 * np.pi * lag_h / swing.period_h) * np.exp(-lag_h / swing.coherence_h)
+    size = _SWING_MARGIN * swing.amplitude_cm
+    return np.asarray(
+        0.5 * size**2 * share[:, None] * share[None, :] * turning + _SWING_LEFT * np.diag(size**2 * share**2)
+    )
+
+
+def _reach(scene: Scene) -> Array:
+    """Points lower on the stem are found as well as the tip, but their lower part hardly moves: as good, not worse."""
+    share = np.array([1.0, 1.0, 0.8, 0.6, 0.4])[: len(FEATURES)]
+    return share[scene.feature][:, None] * share[scene.feature][None, :]
+
+
+def sizes_of(
+    residuals: Sequence[Array],
+    parts: Sequence[Array],
+    errors: Sequence[Array],
+    known: Sequence[Array],
+    start: Array,
+    expected: Array,
+) -> Array:
+    """The sizes under which residuals are most probable.
+
+    Args:
+        residuals: measured minus what the typical plant does, one per run, shape (m,).
+        parts: of the same runs, see :func:`covariances`.
+        errors: directions in which the law itself is wrong by an amount that differs from run to run, shape (m, k).
+        known: covariance that is there besides, shape (m, m): that plants differ.
+        start: sizes of parts and errors to begin with, shape (12 + k,).
+        expected: of the errors, shape (k,).
+
+    Returns:
+        Sizes, shape (12 + k,).
+    """
+    middle = np.log(np.concatenate([sizes_expected(), expected]))
+    doubt = np.array([part.doubt for part in PARTS] + [1.0] * len(expected))
+    low, high = middle + np.log(_LEAST), middle + np.log(_MOST)
+    low[[part.name == "measure_cm" for part in PARTS] + [False] * len(expected)] = np.log(SMALLEST_MEASURE_CM)
+    count = len(PARTS)
+
+    def improbability(log_sizes: Array) -> tuple[float, Array]:
+        variances = np.exp(2.0 * log_sizes)
+        away = (log_sizes - middle) / doubt
+        total, slope = 0.5 * float(away @ away), away / doubt
+        for residual, own, wrong, besides in zip(residuals, parts, errors, known, strict=True):
+            whole = np.tensordot(variances[:count], own, axes=1) + besides + (wrong * variances[count:]) @ wrong.T
+            whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
+            root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
+            inverse = scipy.linalg.cho_solve((root, True), np.eye(len(root)), check_finite=False)
+            pull = inverse @ residual
+            total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
+            left = inverse - np.outer(pull, pull)
+            by_part = own.reshape(count, -1) @ left.ravel()
+            by_error = np.einsum("mk,mk->k", wrong, left @ wrong)
+            slope = slope + variances * np.concatenate([by_part, by_error])
+        return total, slope
+
+    found = scipy.optimize.minimize(
+        improbability,
+        np.clip(np.log(start), low, high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": 40, "ftol": 1e-6},
+    )
+    return np.asarray(np.exp(found.x))
+
+
+def as_dict(sizes: Array) -> Mapping[str, float]:
+    """Sizes of the parts by name."""
+    return {part.name: float(size) for part, size in zip(PARTS, sizes[: len(PARTS)], strict=True)}

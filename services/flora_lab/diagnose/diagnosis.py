@@ -1,0 +1,106 @@
+"""What a diagnosis says; ``diagnosis.json`` is this."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+Verdict = Literal["nothing_wrong", "explained", "unexplained"]
+
+
+class NamedCause(msgspec.Struct, frozen=True):
+    """One cause.
+
+    Attributes:
+        effect: its name in the catalogue.
+        parameters: by name; units stand in the names.
+        interval: of 90 %, by the same names.
+        confidence: probability that it is this one, or one of those that these data cannot tell from it.
+        p_value: how often runs without any effect show as much evidence, at most.
+        confusable_with: effects that these data cannot tell from it.
+        evidence: a sentence.
+        nats: logarithm of how much more probable the runs are with it than without.
+        form: in which of its forms, see :mod:`flora_lab.effects`.
+    """
+
+    effect: str
+    parameters: dict[str, float]
+    interval: dict[str, tuple[float, float]]
+    confidence: float
+    p_value: float
+    confusable_with: list[str]
+    evidence: str
+    nats: float
+    form: int = 0
+
+
+class Residuals(msgspec.Struct, frozen=True):
+    """What the simulator gets wrong, before anything is explained.
+
+    Attributes:
+        where: along the stem: name of a place to figures.
+        when: by time of day, since the last switch, by height and age.
+        size_mm: root mean square of the tip in free running.
+        significant: whether it is more than the runs' own chance and the plants' differences make of it.
+        description: sentences.
+        left: what is left after the causes, in sentences; empty where nothing is.
+    """
+
+    where: dict[str, Any]
+    when: dict[str, Any]
+    size_mm: float
+    significant: bool
+    description: str
+    left: str = ""
+
+
+class Gain(msgspec.Struct, frozen=True):
+    """Errors in mm on runs that no fit has seen, by simulator: ``base``, ``extended``, ``boosted``.
+
+    Attributes:
+        one_step: simulator to tip error after one step.
+        free_running: time (``1h``, ``6h``, ``24h``, ``end``) to simulator to tip error.
+        controller_fitness: simulator that a controller was evolved in to its fitness on the plant with the effects.
+        judged_on: how runs were held out, a sentence.
+    """
+
+    one_step: dict[str, float] = {}
+    free_running: dict[str, dict[str, float]] = {}
+    controller_fitness: dict[str, Any] = {}
+    judged_on: str = ""
+
+
+class NextExperiment(msgspec.Struct, frozen=True):
+    """What would separate what these runs cannot.
+
+    Attributes:
+        light_schedule: text that ``flora-twin`` and a rig's open loop read; empty where no light would.
+        separates: the causes.
+        why: sentences.
+        map: pair of causes to schedule to nats.
+        picture: which calibration picture would help; empty where none.
+    """
+
+    light_schedule: str = ""
+    separates: list[str] = []
+    why: str = ""
+    map: dict[str, dict[str, float]] = {}
+    picture: str = ""
+
+
+class Diagnosis(msgspec.Struct, frozen=True):
+    """``diagnosis.json``."""
+
+    verdict: Verdict
+    causes: list[NamedCause]
+    residuals: Residuals
+    gain: Gain
+    next_experiment: NextExperiment
+    summary: str
+    record: list[str] = []
+    """What was found in the record before anything else: gaps, stems that were found wrongly."""
+    runs: list[str] = []
+    base: dict[str, Any] = {}
+    """What the simulator was learned from, and what is known of it."""
+    format: int = 1

@@ -1,0 +1,212 @@
+"""From runs to causes: which effects, alone or together, explain what the simulator gets wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose import rhythm
+from flora_lab.diagnose.joint import Base, Found, Hypothesis, Joint, ready
+from flora_lab.diagnose.rhythm import Swing, Usual
+from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.search import forms_of, with_cause
+from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.effects.effect import Change, Effect
+
+Array = npt.NDArray[Any]
+
+CLAIM: Final = 6.0
+"""Nats of evidence that a cause needs beyond none."""
+MORE: Final = 8.0
+"""Nats that each further cause needs."""
+MOST_CAUSES: Final = 3
+SWING: Final = "circumnutation"
+_RESTARTS: Final = 2
+_BADLY: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A cause on top of others.
+
+    Attributes:
+        effect: which.
+        gain: evidence beyond that without it, nats, with what was known of the effect before.
+        found: the fit, with the cause as its last; None for a swing, which is no part of it.
+        swing: for a swing.
+    """
+
+    effect: Effect
+    gain: float
+    found: Found | None
+    swing: Swing | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One step of the search: all causes tried on top of those chosen before.
+
+    Attributes:
+        before: the fit without another cause.
+        tried: best first, each effect once, in its best form.
+    """
+
+    before: Found
+    tried: tuple[Tried, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What explains the runs best.
+
+    Attributes:
+        null: the simulator as it is.
+        found: with all causes.
+        swing: of the tip, where one was found.
+        stages: how it was come to.
+        joint: the runs, as they were whitened at the end.
+    """
+
+    null: Found
+    found: Found
+    swing: Swing | None
+    stages: tuple[Stage, ...]
+    joint: Joint
+
+
+class Explainer:
+    """Looks for causes.
+
+    Args:
+        scenes: the measured runs.
+        base: what is known of plants under the simulator.
+        usual: what reference runs have of swings.
+        on_step: told that a cause has been tried.
+    """
+
+    def __init__(
+        self, scenes: Sequence[Scene], base: Base, usual: Usual, on_step: Callable[[], None] = lambda: None
+    ) -> None:
+        self.scenes = scenes
+        self.base = base
+        self.usual = usual
+        self._on_step = on_step
+
+    def explain(self) -> Explanation:
+        """The causes, one after another while they are worth it."""
+        alone = self._all_alone()
+        swing: Swing | None = None
+        joint = self._joint(alone, swing)
+        null = joint.fit(_side_by_side(alone), 12)
+        found = null
+        stages: list[Stage] = []
+        while len(stages) <= MOST_CAUSES:
+            stage = self.stage(joint, found, swing)
+            for _ in range(_RESTARTS):
+                # What many causes seem to explain may be plants that were not found: once more from the winner's.
+                better = self._restarted(joint, stage)
+                if better.evidence < stage.before.evidence + 1.0:
+                    break
+                if not stages:
+                    null = better
+                stage = self.stage(joint, better, swing)
+            stages.append(stage)
+            best = stage.tried[0] if stage.tried else None
+            if best is None or best.gain < (CLAIM if len(stages) == 1 else MORE) or len(stages) > MOST_CAUSES:
+                break
+            if best.swing is not None:
+                swing = best.swing
+                joint = self._joint(alone, swing)
+                null = joint.fit(_side_by_side(alone), 12)
+                found = joint.fit(_started(found), 12)
+            elif best.found is not None:
+                found = best.found
+        return Explanation(null, found, swing, tuple(stages), joint)
+
+    def stage(self, joint: Joint, before: Found, swing: Swing | None) -> Stage:
+        """All causes that are not yet in, on top of those that are."""
+        there = set(before.hypothesis.names())
+        tried = []
+        if swing is None:
+            own = self.swing(joint, before)
+            if rhythm.is_plausible(own):
+                tried.append(Tried(BY_NAME[SWING], own.evidence, None, own))
+        for effect in CATALOGUE:
+            if effect.name == SWING or effect.name in there or not self._may_be(effect):
+                continue
+            fits = [with_cause(joint, before, cause) for cause in forms_of(effect)]
+            best = max(fits, key=lambda fit: fit.evidence)
+            gain = best.evidence - before.evidence - np.log(len(fits)) + np.log(effect.prior)
+            tried.append(Tried(effect, float(gain), best))
+            self._on_step()
+        return Stage(before, tuple(sorted(tried, key=lambda t: -t.gain)))
+
+    def swing(self, joint: Joint, found: Found) -> Swing:
+        """The best swing of the tip in what a fit leaves."""
+        left, expected = [], []
+        change = found.hypothesis.change(found.coordinates)
+        for i, scene in enumerate(self.scenes):
+            rest, simulated = scene.tips(found.traits[i], found.start[i], change)
+            left.append(rhythm.spectrum(rest, scene.step_h))
+            expected.append(self.usual.expected(rhythm.spectrum(simulated, scene.step_h)))
+        return rhythm.best_swing(left, expected)
+
+    @staticmethod
+    def _restarted(joint: Joint, stage: Stage) -> Found:
+        best = next((t.found for t in stage.tried if t.found is not None), None)
+        if best is None:
+            return stage.before
+        again = Found(stage.before.hypothesis, stage.before.coordinates.copy(), best.traits.copy(), best.start.copy())
+        return joint.fit(again, 12)
+
+    def _may_be(self, effect: Effect) -> bool:
+        return effect.name != "temperature_growth" or any(scene.has_temperature for scene in self.scenes)
+
+    def _all_alone(self) -> list[Found]:
+        """Each run by itself; one that ended badly once more from where the others did."""
+        base = self.base.of_single_runs()
+        joints = [Joint([ready(scene, base, base.mean, np.zeros(2), together=0)], base) for scene in self.scenes]
+        fits = [joint.fit(joint.null(), 12) for joint in joints]
+        usual = min(fit.misfit / scene.size for fit, scene in zip(fits, self.scenes, strict=True))
+        out = []
+        for joint, scene, fit in zip(joints, self.scenes, fits, strict=True):
+            tried = [fit]
+            if fit.misfit / scene.size > _BADLY * usual:
+                starts = [other for other in fits if other is not fit]
+                tried += [
+                    joint.fit(Found(Hypothesis(), np.zeros(0), o.traits.copy(), o.start * 0.0), 12) for o in starts
+                ]
+            out.append(min(tried, key=lambda one: one.misfit))
+        return out
+
+    def _joint(self, alone: Sequence[Found], swing: Swing | None) -> Joint:
+        count = len(self.scenes)
+        runs = [
+            ready(scene, self.base, fit.traits[0], fit.start[0], together=count, swing=swing)
+            for scene, fit in zip(self.scenes, alone, strict=True)
+        ]
+        return Joint(runs, self.base)
+
+
+def usual_of(scenes: Sequence[Scene], fits: Sequence[Found]) -> Usual:
+    """What reference runs have of swings, from their own fits."""
+    left, moved = [], []
+    for scene, fit in zip(scenes, fits, strict=True):
+        rest, simulated = scene.tips(fit.traits[0], fit.start[0], Change())
+        left.append(rhythm.spectrum(rest, scene.step_h))
+        moved.append(rhythm.spectrum(simulated, scene.step_h))
+    return rhythm.usual(left, moved)
+
+
+def _side_by_side(alone: Sequence[Found]) -> Found:
+    traits = np.concatenate([fit.traits for fit in alone])
+    start = np.concatenate([fit.start for fit in alone])
+    return Found(Hypothesis(), np.zeros(0), traits, start)
+
+
+def _started(found: Found) -> Found:
+    return replace(found, residuals=[], jacobians=[])

@@ -1,0 +1,334 @@
+"""Several runs under one hypothesis: every plant's constants and the effects' parameters, most probable together.
+
+Plants are individuals about a typical one, which is itself known only as well as the reference tells. Errors of a free
+run are whitened with what happens by chance (:mod:`flora_lab.diagnose.chance`). Levenberg-Marquardt; evidence after
+Laplace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from flora_lab.diagnose import chance, law_errors
+from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.effects.effect import Change, Effect, Parameter
+from flora_lab.simulator.tropism_traits import NAMES
+
+Array = npt.NDArray[Any]
+
+TRAITS: Final = len(NAMES)
+START_SD: Final = np.array([0.02, 0.04])
+"""How well tilt and bow of the first stem are measured, rad."""
+_OWN: Final = TRAITS + len(START_SD)
+_STEP_SD: Final = 0.1
+"""Of differences, in standard deviations of what is known before."""
+_FARTHEST_SD: Final = 7.0
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """What is known of plants under the simulator, and of how wrong it is.
+
+    Attributes:
+        mean: of the traits, shape (9,).
+        spread: between plants, shape (9, 9).
+        doubt: of the mean, shape (9, 9).
+        sizes: of what happens by chance, see :mod:`flora_lab.diagnose.chance`.
+        wrong: how much the law's errors differ from run to run, see :mod:`flora_lab.diagnose.law_errors`, shape (k,).
+        wrong_mean: what they have in common, shape (k,).
+        first: logarithm of the first stem's length and its lean in rad, shape (2,): mean over plants.
+        first_sd: how plants differ in them.
+        runs: that this was learned from.
+    """
+
+    mean: Array
+    spread: Array
+    doubt: Array
+    sizes: Array
+    wrong: Array
+    wrong_mean: Array
+    first: Array
+    first_sd: Array
+    runs: int
+
+    def of_single_runs(self) -> Base:
+        """For runs looked at one by one: that the mean is not known for certain is one with how they differ."""
+        return replace(self, spread=self.spread + self.doubt, doubt=1e-9 * np.eye(TRAITS))
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """An effect in one of its forms."""
+
+    effect: Effect
+    form: int = 0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.effect.parameters
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Causes that act together; none is the simulator as it is."""
+
+    causes: tuple[Cause, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of all causes, in their order."""
+        return tuple(p for cause in self.causes for p in cause.parameters)
+
+    def change(self, coordinates: Array) -> Change:
+        """What the causes change, with parameters at these coordinates."""
+        change, at = Change(), 0
+        for cause in self.causes:
+            own = cause.parameters
+            values = {p.name: p.value(float(u)) for p, u in zip(own, coordinates[at : at + len(own)], strict=True)}
+            cause.effect.forms[cause.form](change, values)
+            at += len(own)
+        return change
+
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(cause.effect.name for cause in self.causes)
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """A run, ready to be explained. To its features come length and lean of the first stem.
+
+    Attributes:
+        scene: the run.
+        measured: shape (m + 2,).
+        offset: added to what is simulated: what the law is known to be wrong by, shape (m,).
+        inverse_root: of the covariance, shape (m + 2, m + 2).
+    """
+
+    scene: Scene
+    measured: Array
+    offset: Array
+    inverse_root: Array
+
+    def white(self, values: Array) -> Array:
+        """Values (m + 2,) or (m + 2, k) in units of chance."""
+        return np.asarray(self.inverse_root @ values)
+
+
+def ready(scene: Scene, base: Base, traits: Array, start: Array, *, together: int, swing: Swing | None = None) -> Ready:
+    """A run with what chance and the law's errors do to a plant about these traits.
+
+    Args:
+        scene: the run.
+        base: what is known.
+        traits, start: of its plant, about which all is linear.
+        together: number of runs that will be explained together. What the law is wrong by is known from so few runs
+            that the mean over many others is not known better than these tell.
+        swing: of the tip, that is there besides.
+    """
+    parts = chance.covariances(scene, scene.answers(traits, Change()))
+    wrong = law_errors.directions(scene, traits, start)
+    more = 1.0 + together / max(base.runs, 1)
+    covariance = np.tensordot(base.sizes**2, parts, axes=1) + (wrong * (more * base.wrong**2)) @ wrong.T
+    if swing is not None:
+        covariance += chance.of_swing(scene, swing)
+    m = scene.size
+    root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
+    inverse_root = np.zeros((m + 2, m + 2))
+    inverse_root[:m, :m] = scipy.linalg.solve_triangular(root, np.eye(m), lower=True, check_finite=False)
+    inverse_root[[m, m + 1], [m, m + 1]] = 1.0 / (base.first_sd * np.sqrt(more))
+    measured = np.concatenate([scene.features, scene.first - base.first])
+    return Ready(scene, measured, wrong @ base.wrong_mean, inverse_root)
+
+
+@dataclass(slots=True)
+class Found:
+    """The most probable plants and parameters of a hypothesis.
+
+    Attributes:
+        hypothesis: which.
+        coordinates: of its parameters, shape (q,).
+        traits: shape (runs, 9).
+        start: tilt and bow, shape (runs, 2).
+        evidence: logarithm, up to a constant that all hypotheses about the same runs share.
+        misfit: half the sum of squares, with what was known before.
+        covariance: of the coordinates, shape (q, q).
+        residuals: whitened, one array per run.
+        jacobians: whitened, of a run's features by its own unknowns and the parameters, shape (m, 11 + q).
+    """
+
+    hypothesis: Hypothesis
+    coordinates: Array
+    traits: Array
+    start: Array
+    evidence: float = -np.inf
+    misfit: float = np.inf
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    residuals: list[Array] = field(default_factory=list)
+    jacobians: list[Array] = field(default_factory=list)
+
+    def values(self) -> list[dict[str, float]]:
+        """Parameters of each cause by name."""
+        found, at = [], 0
+        for cause in self.hypothesis.causes:
+            own = cause.parameters
+            us = self.coordinates[at : at + len(own)]
+            found.append({p.name: p.value(float(u)) for p, u in zip(own, us, strict=True)})
+            at += len(own)
+        return found
+
+
+class Joint:
+    """Some runs, to be explained together.
+
+    Args:
+        runs: ready to be explained.
+        base: what is known of plants.
+    """
+
+    def __init__(self, runs: Sequence[Ready], base: Base) -> None:
+        self.runs = runs
+        self.base = base
+        count = len(runs)
+        together = np.kron(np.eye(count), base.spread) + np.kron(np.ones((count, count)), base.doubt)
+        self._trait_precision = np.linalg.inv(together)
+        self._trait_sd = np.sqrt(np.diag(base.spread + base.doubt))
+
+    def fit(self, start: Found, iterations: int) -> Found:
+        """The most probable unknowns of a hypothesis, from a start on."""
+        at = self._linearised(start)
+        damping = 1e-3
+        for _ in range(iterations):
+            normal, downhill = self._normal(at)
+            moved = False
+            while damping < 1e5:
+                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
+                new = self._moved(at, step)
+                misfit = self._misfit_only(new)
+                if misfit < at.misfit:
+                    gain = at.misfit - misfit
+                    at, moved = self._linearised(new), gain > 0.02
+                    damping = max(damping / 10.0, 1e-6)
+                    break
+                damping *= 10.0
+            if not moved:
+                break
+        return self._with_evidence(at)
+
+    def null(self) -> Found:
+        """A start without any cause, all plants typical."""
+        count = len(self.runs)
+        return Found(Hypothesis(), np.zeros(0), np.repeat(self.base.mean[None], count, axis=0), np.zeros((count, 2)))
+
+    # The unknowns stand in this order: traits of all plants, starts of all plants, parameters.
+
+    def _precision(self, hypothesis: Hypothesis) -> Array:
+        count = len(self.runs)
+        spreads = np.array([p.spread for p in hypothesis.parameters])
+        starts = np.diag(np.tile(START_SD**-2.0, count))
+        return np.asarray(scipy.linalg.block_diag(self._trait_precision, starts, np.diag(spreads**-2.0)))
+
+    def _away(self, found: Found) -> Array:
+        centres = np.array([p.centre for p in found.hypothesis.parameters])
+        return np.concatenate(
+            [(found.traits - self.base.mean).ravel(), found.start.ravel(), found.coordinates - centres]
+        )
+
+    def _moved(self, at: Found, step: Array) -> Found:
+        count = len(self.runs)
+        traits = at.traits + step[: TRAITS * count].reshape(count, TRAITS)
+        far = _FARTHEST_SD * self._trait_sd
+        traits = np.clip(traits, self.base.mean - far, self.base.mean + far)
+        start = at.start + step[TRAITS * count : _OWN * count].reshape(count, -1)
+        start = np.clip(start, -10 * START_SD, 10 * START_SD)
+        reach = np.array([p.reach for p in at.hypothesis.parameters]).reshape(-1, 2)
+        coordinates = np.clip(at.coordinates + step[_OWN * count :], reach[:, 0], reach[:, 1])
+        return Found(at.hypothesis, coordinates, traits, start)
+
+    def features_of(self, found: Found, run: int, *, with_slopes: bool = True) -> tuple[Array, Array]:
+        """Features of a run (m + 2,), and their derivatives (m + 2, 11 + q) in its own unknowns and the parameters."""
+        scene = self.runs[run].scene
+        parameters = found.hypothesis.parameters
+        q = len(parameters)
+        widths = np.concatenate([_STEP_SD * self._trait_sd, START_SD * 0.5, [0.05 * p.spread for p in parameters]])
+        unknown = np.concatenate([found.traits[run], found.start[run], found.coordinates])
+        n = len(widths)
+        # Differences to one side for a plant's own unknowns; to both for the parameters, which are the question.
+        away = np.diag(widths) if with_slopes else np.zeros((0, n))
+        lanes = unknown + np.concatenate([np.zeros((1, n)), away, -away[n - q :] if with_slopes else away])
+        changes = self._changes(found.hypothesis, lanes[:, _OWN:])
+        shifts = np.stack([change.traits for change in changes])
+        told = scene.simulated(Lanes(lanes[:, :TRAITS] + shifts, lanes[:, TRAITS:_OWN], changes))
+        first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
+        told = np.concatenate([told + self.runs[run].offset, first], axis=1)
+        if not with_slopes:
+            return told[0], np.zeros((len(told[0]), 0))
+        slopes = told[1 : n + 1] - told[0]
+        slopes[n - q :] = 0.5 * (told[n + 1 - q : n + 1] - told[n + 1 :])
+        return told[0], (slopes / widths[:, None]).T
+
+    @staticmethod
+    def _changes(hypothesis: Hypothesis, coordinates: Array) -> list[Change]:
+        made: dict[bytes, Change] = {}
+        out = []
+        for row in coordinates:
+            key = row.tobytes()
+            if key not in made:
+                made[key] = hypothesis.change(row)
+            out.append(made[key])
+        return out
+
+    def _linearised(self, found: Found) -> Found:
+        found.residuals, found.jacobians = [], []
+        away = self._away(found)
+        total = 0.5 * float(away @ self._precision(found.hypothesis) @ away)
+        for run, own in enumerate(self.runs):
+            told, slopes = self.features_of(found, run, with_slopes=True)
+            residual = own.white(own.measured - told)
+            found.residuals.append(residual)
+            found.jacobians.append(own.white(slopes))
+            total += 0.5 * float(residual @ residual)
+        found.misfit = total
+        return found
+
+    def _misfit_only(self, found: Found) -> float:
+        away = self._away(found)
+        total = 0.5 * float(away @ self._precision(found.hypothesis) @ away)
+        for run, own in enumerate(self.runs):
+            told, _ = self.features_of(found, run, with_slopes=False)
+            residual = own.white(own.measured - told)
+            total += 0.5 * float(residual @ residual)
+        return total if np.isfinite(total) else np.inf
+
+    def _normal(self, found: Found) -> tuple[Array, Array]:
+        count, q = len(self.runs), len(found.coordinates)
+        size = _OWN * count + q
+        normal = self._precision(found.hypothesis).copy()
+        downhill = -normal @ self._away(found)
+        for run, (residual, jacobian) in enumerate(zip(found.residuals, found.jacobians, strict=True)):
+            at = np.concatenate(
+                [
+                    TRAITS * run + np.arange(TRAITS),
+                    TRAITS * count + 2 * run + np.arange(2),
+                    np.arange(_OWN * count, size),
+                ]
+            )
+            normal[np.ix_(at, at)] += jacobian.T @ jacobian
+            downhill[at] += jacobian.T @ residual
+        return normal, downhill
+
+    def _with_evidence(self, found: Found) -> Found:
+        normal, _ = self._normal(found)
+        precision = self._precision(found.hypothesis)
+        ratio = np.linalg.slogdet(normal)[1] - np.linalg.slogdet(precision)[1]
+        found.evidence = float(-found.misfit - 0.5 * ratio)
+        q = len(found.coordinates)
+        found.covariance = np.linalg.inv(normal)[len(normal) - q :, len(normal) - q :] if q else np.zeros((0, 0))
+        return found

@@ -1,0 +1,183 @@
+"""The base simulator, learned from reference runs: typical plants, how they differ, what happens by chance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from flora_lab.diagnose import chance, law_errors
+from flora_lab.diagnose.joint import START_SD, TRAITS, Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.scene import Scene
+from flora_lab.effects.effect import Change
+from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
+
+Array = npt.NDArray[Any]
+
+ROUNDS: Final = 4
+SPREAD_STRENGTH: Final = 9.0
+"""What the sources say of how plants differ counts as much as this many plants."""
+_FAR_WORSE: Final = 2.0
+_FAR_OFF: Final = 4.5
+_FIRST_SD: Final = np.array([0.08, 0.06])
+"""How seedlings are expected to differ in the logarithm of their length, and in lean, rad."""
+_FIRST_STRENGTH: Final = 3.0
+_DOUBTS: Final = {
+    "growth_early_cm_per_day": 0.5,
+    "growth_late_cm_per_day": 0.5,
+    "growth_zone_cm": 0.5,
+    "stiffening_cm": 0.6,
+    "mature_cm": 0.5,
+    "photo_latency_min": 0.7,
+}
+"""Plants other than those that the sources measured are let in: what is not told by the runs matters little."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """A run about the typical plant: all is linear there.
+
+    Attributes:
+        residual: measured minus what the typical plant does, shape (m,).
+        slopes: of the features by the plant's own unknowns, shape (m, 11).
+        parts: covariances of what happens by chance, per unit, shape (12, m, m).
+        wrong: directions of the law's errors, shape (m, k).
+    """
+
+    residual: Array
+    slopes: Array
+    parts: Array
+    wrong: Array
+
+    def of_plants(self, spread: Array) -> Array:
+        """Covariance because plants differ, and because the first stem is not known exactly, shape (m, m)."""
+        own = scipy.linalg.block_diag(spread, np.diag(START_SD**2))
+        return np.asarray(self.slopes @ own @ self.slopes.T)
+
+
+def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> tuple[Base, list[Found]]:
+    """Learn a base from runs in which nothing is taken to be wrong.
+
+    Args:
+        scenes: one per run.
+        on_round: told the number of each round that is done.
+
+    Returns:
+        The base, and each run's own fit.
+    """
+    known_doubt = np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
+    count = len(scenes)
+    first, first_sd = _firsts(scenes)
+    base = Base(
+        prior_mean(),
+        prior_spread(),
+        known_doubt,
+        chance.sizes_expected() * 1.5,
+        law_errors.expected_sizes(),
+        np.zeros(len(law_errors.names())),
+        first,
+        first_sd,
+        count,
+    )
+    fits: list[Found] = []
+    for number in range(1, ROUNDS + 1):
+        alone = base.of_single_runs()
+        centres = [(fit.traits[0], fit.start[0]) for fit in fits] or [(base.mean, np.zeros(2))] * count
+        runs = [ready(scene, alone, *at, together=0) for scene, at in zip(scenes, centres, strict=True)]
+        starts = fits or [Joint([one], alone).null() for one in runs]
+        iterations = 12 if number == 1 else 5
+        fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
+        fits = _from_the_middle(runs, alone, fits)
+        base = _population(_near(fits) if number < ROUNDS else fits, known_doubt, base)
+        linear = [_about_typical(scene, base, one, fit) for scene, one, fit in zip(scenes, runs, fits, strict=True)]
+        base = _with_chance(linear, base)
+        on_round(number)
+    return base, fits
+
+
+def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -> list[Found]:
+    """Fits that ended much worse than the others, or far from them, once more, from where these ended."""
+    middle = np.median([fit.traits[0] for fit in fits], axis=0)
+    usual = float(np.median([fit.misfit for fit in fits]))
+    near = {id(fit) for fit in _near(fits)}
+    out = []
+    for one, fit in zip(runs, fits, strict=True):
+        best = fit
+        if id(fit) not in near or not fit.misfit <= _FAR_WORSE * usual:
+            joint = Joint([one], base)
+            again = joint.fit(replace(joint.null(), traits=middle[None]), 12)
+            best = again if again.misfit < fit.misfit else fit
+        out.append(best)
+    return out
+
+
+def _near(fits: Sequence[Found]) -> list[Found]:
+    """Fits of plants like most others: one that ended in a corner must not tell how plants differ."""
+    values = np.concatenate([fit.traits for fit in fits])
+    away = np.abs(values - np.median(values, axis=0))
+    usual = np.maximum(np.median(away, axis=0), np.sqrt(np.diag(prior_spread())))
+    return [fit for fit, one in zip(fits, away, strict=True) if (one / usual).max() <= _FAR_OFF]
+
+
+def _population(fits: Sequence[Found], known_doubt: Array, base: Base) -> Base:
+    """Mean and spread over plants: what the sources say, weighed against what the plants say."""
+    count = len(fits)
+    values = np.concatenate([fit.traits for fit in fits])
+    known_mean, known_spread = prior_mean(), prior_spread()
+    informations = [fit.jacobians[0][:, :TRAITS].T @ fit.jacobians[0][:, :TRAITS] for fit in fits]
+    mean, spread, doubt = values.mean(axis=0), known_spread, known_doubt
+    for _ in range(4):
+        within = [np.linalg.inv(info + np.linalg.inv(spread)) for info in informations]
+        away = values - mean
+        scatter = away.T @ away + np.sum(within, axis=0)
+        spread = (scatter + SPREAD_STRENGTH * known_spread) / (count + SPREAD_STRENGTH)
+        told = np.linalg.inv(known_doubt)
+        for info in informations:
+            told = told + info @ np.linalg.inv(np.eye(TRAITS) + spread @ info)
+        doubt = np.linalg.inv(told)
+        weight = known_doubt @ np.linalg.inv(known_doubt + spread / count)
+        mean = known_mean + weight @ (values.mean(axis=0) - known_mean)
+    return replace(base, mean=mean, spread=spread, doubt=doubt)
+
+
+def _about_typical(scene: Scene, base: Base, run: Ready, fit: Found) -> _Linear:
+    """A run, from its own fit carried on to the typical plant: linear, because that plant may stand elsewhere."""
+    told, slopes = Joint([replace(run, offset=np.zeros(scene.size))], base.of_single_runs()).features_of(fit, 0)
+    told, slopes = told[: scene.size], slopes[: scene.size]
+    away = np.concatenate([fit.traits[0] - base.mean, fit.start[0]])
+    parts = chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+    wrong = law_errors.directions(scene, fit.traits[0], fit.start[0])
+    return _Linear(scene.features - told + slopes @ away, slopes, parts, wrong)
+
+
+def _with_chance(runs: Sequence[_Linear], base: Base) -> Base:
+    """Sizes of what happens by chance and of the law's errors, and what these have in common."""
+    known = [run.of_plants(base.spread) for run in runs]
+    sizes = chance.sizes_of(
+        [run.residual - run.wrong @ base.wrong_mean for run in runs],
+        [run.parts for run in runs],
+        [run.wrong for run in runs],
+        known,
+        np.concatenate([base.sizes, base.wrong]),
+        law_errors.expected_sizes(),
+    )
+    own, wrong = sizes[: len(chance.PARTS)], sizes[len(chance.PARTS) :]
+    # The mean of the errors over runs: as large as they are wide, more or less, before any data.
+    precision, pull = np.diag(1.0 / (2.0 * wrong**2 + law_errors.expected_sizes() ** 2)), np.zeros(len(wrong))
+    for run, besides in zip(runs, known, strict=True):
+        whole = np.tensordot(own**2, run.parts, axes=1) + besides + (run.wrong * wrong**2) @ run.wrong.T
+        solved = scipy.linalg.cho_solve(scipy.linalg.cho_factor(whole, lower=True), run.wrong)
+        precision = precision + run.wrong.T @ solved
+        pull = pull + solved.T @ run.residual
+    return replace(base, sizes=own, wrong=wrong, wrong_mean=np.linalg.solve(precision, pull))
+
+
+def _firsts(scenes: Sequence[Scene]) -> tuple[Array, Array]:
+    values = np.stack([scene.first for scene in scenes])
+    mean = values.mean(axis=0)
+    variance = ((values - mean) ** 2).sum(axis=0) + _FIRST_STRENGTH * _FIRST_SD**2
+    return mean, np.sqrt(variance / (len(scenes) + _FIRST_STRENGTH))

@@ -1,0 +1,181 @@
+"""A swing of the tip that no lamp causes: found in the spectrum of what is left of a run, beside that of others.
+
+Hourly means do not show swings of an hour and a half. Here the residual of the tip is looked at in steps of minutes.
+Its spectrum is compared with that of reference runs by Whittle's likelihood: for each frequency, the periodogram over
+its expectation is exponential. A swing adds a line of its own, as wide as its phase drifts. All periods of a fine grid
+are tried, and the price of having looked at so many is paid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+PERIODS_H: Final = (1.1, 2.8)
+PLAUSIBLE_H: Final = (1.15, 2.65)
+PER_HOUR: Final = 1.0 / 140.0
+"""Distance of the frequencies that are tried, 1/h: two runs of three days tell them apart."""
+COHERENCE_H: Final = (6.0, 30.0)
+"""Times over which a swing keeps its phase, that are tried."""
+BAND_H: Final = (0.7, 4.0)
+_AMPLITUDES_CM: Final = np.geomspace(0.05, 4.0, 56)
+_SMOOTH_SHARE: Final = 0.12
+_FLOOR_SHARE: Final = 0.02
+LOOKED: Final = float(np.log(65.0))
+"""The price of having looked at all periods, in nats."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Of what is left of a run's tip.
+
+    Attributes:
+        per_hour: frequencies within the band, shape (n,).
+        power: periodogram there, cm^2 h, shape (n,).
+        hours: length of what it is from.
+    """
+
+    per_hour: Array
+    power: Array
+    hours: float
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """The best swing.
+
+    Attributes:
+        period_h, amplitude_cm: of the tip, in the picture plane.
+        coherence_h: over which it keeps its phase.
+        evidence: in nats, for it and against none, after what looking cost.
+        period_interval_h, amplitude_interval_cm: of 90 %.
+        amplitudes_cm: of each run alone.
+    """
+
+    period_h: float
+    amplitude_cm: float
+    coherence_h: float
+    evidence: float
+    period_interval_h: tuple[float, float]
+    amplitude_interval_cm: tuple[float, float]
+
+
+def spectrum(residual_cm: Array, step_h: float) -> Spectrum:
+    """The periodogram of a tip's residual, shape (n,); NaN where nothing was measured."""
+    at = np.arange(len(residual_cm))
+    known = np.isfinite(residual_cm)
+    filled = np.interp(at, at[known], residual_cm[known])
+    taper = np.hanning(len(filled) + 2)[1:-1]
+    # Slow errors leak far: what a moving mean of four hours tells is taken out before.
+    width = max(3, round(BAND_H[1] / step_h) | 1)
+    padded = np.pad(filled, width // 2, mode="reflect", reflect_type="odd") if len(filled) > width else filled
+    kernel = np.hanning(width + 2)[1:-1]
+    slow = np.convolve(padded, kernel / kernel.sum(), mode="same")
+    slow = slow[width // 2 : width // 2 + len(filled)] if len(filled) > width else np.full(len(filled), filled.mean())
+    rest = (filled - slow) * taper
+    power = np.abs(np.fft.rfft(rest)) ** 2 * step_h / np.sum(taper**2)
+    per_hour = np.fft.rfftfreq(len(rest), step_h)
+    band = (per_hour >= 1.0 / BAND_H[1]) & (per_hour <= 1.0 / BAND_H[0])
+    return Spectrum(per_hour[band], power[band], len(filled) * step_h)
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """What reference runs have in the band.
+
+    Attributes:
+        per_hour, power: of the swings that are there anyway, smooth in frequency.
+        follows: share of the simulated tip's own power that is left over, because no law is right in everything:
+            where lamps make the tip swing, what is left swings too.
+    """
+
+    per_hour: Array
+    power: Array
+    follows: float
+
+    def expected(self, simulated: Spectrum) -> Array:
+        """The power that is expected of what is left of a run in which the simulated tip does this, shape (n,)."""
+        own = np.exp(np.interp(np.log(simulated.per_hour), np.log(self.per_hour), np.log(self.power)))
+        return np.asarray(own + self.follows * simulated.power)
+
+
+_FOLLOWS: Final = (0.0, *np.geomspace(1e-4, 0.3, 22).tolist())
+
+
+def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Usual:
+    """What is usual, from what is left of reference runs and what their simulated tips do."""
+    power = np.concatenate([s.power for s in left])
+    moved = np.concatenate([s.power for s in simulated])
+    at = np.concatenate([s.per_hour for s in left])
+    grid = np.linspace(1.0 / BAND_H[1], 1.0 / BAND_H[0], 60)
+    away = np.log(at[:, None] / grid[None, :]) / _SMOOTH_SHARE
+    weight = np.exp(-0.5 * away**2)
+    weight /= weight.sum(axis=0)
+    best: Usual | None = None
+    most = -np.inf
+    for share in _FOLLOWS:
+        rest = np.maximum(power - share * moved, _FLOOR_SHARE * power)
+        smooth = np.maximum(rest @ weight, _FLOOR_SHARE * float(np.median(power)) + 1e-12)
+        tried = Usual(grid, smooth, float(share))
+        total = 0.0
+        for own, sim in zip(left, simulated, strict=True):
+            expected = tried.expected(sim)
+            total -= float((np.log(expected) + own.power / expected).sum())
+        if total > most:
+            best, most = tried, total
+    assert best is not None
+    return best
+
+
+def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swing:
+    """The swing, of one period and amplitude in all runs, that explains their spectra best.
+
+    Args:
+        spectra: of the runs.
+        usual_power: what is expected without it, one array per run.
+    """
+    ends = 1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0]
+    tried = np.arange(ends[0], ends[1], PER_HOUR)
+    likelihood = np.zeros((len(COHERENCE_H), len(tried), len(_AMPLITUDES_CM)))
+    for own, expected in zip(spectra, usual_power, strict=True):
+        without = np.log(expected) + own.power / expected
+        for c, coherence_h in enumerate(COHERENCE_H):
+            half = 1.0 / (2.0 * np.pi * coherence_h) + 0.6 / own.hours
+            away = (own.per_hour[None, :] - tried[:, None]) / half
+            # Two-sided: half of the variance A^2 / 2 lies at positive frequencies.
+            line = 0.25 / (np.pi * half) / (1.0 + away**2)
+            for a, amplitude in enumerate(_AMPLITUDES_CM):
+                total = expected[None, :] + amplitude**2 * line
+                likelihood[c, :, a] += (without[None, :] - np.log(total) - own.power[None, :] / total).sum(axis=1)
+    best = int(np.argmax(likelihood.max(axis=(1, 2))))
+    top = likelihood[best]
+    weights = np.exp(top - top.max())
+    by_period, by_amplitude = weights.sum(axis=1), weights.sum(axis=0)
+    period = _middle(1.0 / tried[::-1], by_period[::-1])
+    amplitude = _middle(_AMPLITUDES_CM, by_amplitude)
+    return Swing(
+        period_h=period[1],
+        amplitude_cm=amplitude[1],
+        coherence_h=COHERENCE_H[best],
+        evidence=float(top.max()) - LOOKED - 1.0,
+        period_interval_h=(period[0], period[2]),
+        amplitude_interval_cm=(amplitude[0], amplitude[2]),
+    )
+
+
+def is_plausible(swing: Swing) -> bool:
+    """Whether its period lies within what was looked at, not at the edge: beyond it are other things."""
+    return PLAUSIBLE_H[0] <= swing.period_h <= PLAUSIBLE_H[1]
+
+
+def _middle(values: Array, weights: Array) -> tuple[float, float, float]:
+    """5 %, mean and 95 % of a distribution on a grid."""
+    share = np.cumsum(weights) / weights.sum()
+    low, high = np.interp([0.05, 0.95], share, values)
+    return float(low), float(values @ weights / weights.sum()), float(high)

@@ -1,0 +1,237 @@
+"""A measured run beside what the extended law makes of its first stem: the features that are compared.
+
+Compared are hourly means, which keep what matters over hours and are rid of most of what a camera adds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.shapes import STEM_POINTS
+from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.simulator.law import Stems
+from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.shape import rods_through
+from flora_lab.simulator.terms import MEMORY, Driven, ExtendedLaw, Seen
+
+Array = npt.NDArray[Any]
+
+FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0), (1, 0))
+"""Point and axis of what is compared. Heights of the points between follow from the tip's."""
+WINDOW_H: Final = 1.0
+FIRST_ROWS: Final = 3
+"""The first stem is the mean of so many: all that follows starts from it."""
+TOLD_STEPS: Final = 3
+"""Simulated stems are told after every so many steps: the mean over an hour is that of all, at a third of the price."""
+KNOT_H: Final = {"bias": 0.5, "growth": 1.0, "gain": 1.0}
+_PUSH: Final = {"bias": 0.02, "growth": 0.2, "gain": 0.2}
+TEMPERATURE: Final = "temperature_c"
+
+
+@dataclass(frozen=True, slots=True)
+class Lanes:
+    """Plants to simulate side by side.
+
+    Attributes:
+        traits: shape (lanes, 9), what :attr:`Change.traits` adds included.
+        start: tilt and bow of the first stem against what was measured, rad, shape (lanes, 2).
+        changes: one per lane.
+    """
+
+    traits: Array
+    start: Array
+    changes: Sequence[Change]
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """How the features answer a push at each knot of each drive, about one plant.
+
+    Attributes:
+        to: drive (``bias``, ``growth``, ``gain``) to shape (m, knots), per unit of the drive.
+        at_h: drive to the middles of its knots, shape (knots,).
+        length_cm: of the stem in the middle of each bias knot.
+    """
+
+    to: dict[str, Array]
+    at_h: dict[str, Array]
+    length_cm: Array
+
+
+class Scene:
+    """One run, ready to be compared.
+
+    Args:
+        run: what was measured.
+        law: with the places of the lamps; its own terms are not used.
+        usual_c: the mean temperature of the runs that the simulator was learned from; None where it is not known.
+    """
+
+    def __init__(self, run: MeasuredRun, law: ExtendedLaw, usual_c: float | None = None) -> None:
+        self.run = run
+        self.law = law
+        self.step_h = run.step_s / 3600.0
+        self.per_window = max(1, round(WINDOW_H / self.step_h))
+        # The mean of the rows that are told lies half of what is between them later: so do the windows.
+        self._every = TOLD_STEPS if self.per_window % TOLD_STEPS == 0 else 1
+        late = (self._every - 1) // 2
+        self.windows = (len(run) - 1 - late) // self.per_window
+        if self.windows == 0:  # a run shorter than an hour is one window
+            self._every, late, self.windows, self.per_window = 1, 0, 1, len(run) - 1
+        self.steps = self.windows * self.per_window
+        self._told_h = (np.arange(self.steps // self._every) + 1) * self._every * self.step_h
+        self.light = run.light[: self.steps]
+        self.time_h = (np.arange(self.windows) + 0.5) * self.per_window * self.step_h
+        warm = run.covariates.get(TEMPERATURE)
+        self.warmth_c = np.zeros(self.steps)
+        if warm is not None and usual_c is not None:
+            self.warmth_c = np.nan_to_num(warm[: self.steps] - usual_c)
+        first = run.points_cm[:FIRST_ROWS]
+        self.first_cm = np.nanmean(first, axis=0)
+        self._length, self._angle, self._count = rods_through(self.first_cm[None])
+        tip_x_cm, tip_y_cm = self.first_cm[-1]
+        self.first = np.array([np.log(self._length.sum()), np.arctan2(tip_x_cm, tip_y_cm)])
+        rows = run.points_cm[1 + late : self.steps + 1 + late]
+        seen = np.isfinite(rows[:, -1, 0]).astype(np.float64)
+        told = np.stack([np.nan_to_num(rows[:, point, axis]) for point, axis in FEATURES], axis=1)
+        weight = seen.reshape(self.windows, self.per_window)
+        count = weight.sum(axis=1)
+        share = weight / np.maximum(count, 1.0)[:, None]
+        # A row that is told stands for the measured ones about it.
+        self._weight = share.reshape(self.windows, -1, self._every).sum(axis=2)
+        means = np.einsum("wp,wpf->wf", share, told.reshape(self.windows, self.per_window, -1))
+        self.is_told = np.repeat(count >= 0.25 * self.per_window, len(FEATURES))
+        self.features = means.ravel()[self.is_told]
+        self.window = np.repeat(np.arange(self.windows), len(FEATURES))[self.is_told]
+        self.feature = np.tile(np.arange(len(FEATURES)), self.windows)[self.is_told]
+
+    @property
+    def has_temperature(self) -> bool:
+        """Whether the run tells how warm it was, and it was not always the same."""
+        return bool(np.ptp(self.warmth_c) > 0.5)
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return len(self.features)
+
+    def points(self, lanes: Lanes, drives: dict[str, Array] | None = None, every: int | None = None) -> Array:
+        """Stems as the camera shows them, shape (rows told, lanes, 10, 2).
+
+        Args:
+            lanes: which plants, under which changes.
+            every: steps from one row that is told to the next; as features need it where None.
+            drives: ``bias``, ``growth``, ``gain`` to shape (steps, lanes); none, 1 and 1 where missing.
+        """
+        count = len(lanes.traits)
+        given = drives or {}
+        every = every or self._every
+        turn, scale, terms, light = self._changed(lanes.changes, every)
+        out = np.empty((self.steps // every, count, STEM_POINTS, 2))
+        self.law.advance_with(
+            self._first(lanes, scale),
+            lanes.traits,
+            terms,
+            Driven(
+                light,
+                given.get("bias", np.zeros((self.steps, count))),
+                given.get("growth", np.ones((self.steps, count))),
+                given.get("gain", np.ones((self.steps, count))),
+                self.warmth_c,
+            ),
+            Seen(turn, scale),
+            self.step_h,
+            every,
+            out,
+        )
+        return out
+
+    def of_points(self, points: Array) -> Array:
+        """The features of stems (rows told, lanes, 10, 2), shape (lanes, m)."""
+        told = np.stack([points[:, :, point, axis] for point, axis in FEATURES], axis=2)
+        told = told.reshape(self.windows, self.per_window // self._every, -1)
+        means = np.einsum("wp,wpx->wx", self._weight, told).reshape(self.windows, points.shape[1], len(FEATURES))
+        return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
+
+    def simulated(self, lanes: Lanes) -> Array:
+        """Features, shape (lanes, m)."""
+        return self.of_points(self.points(lanes))
+
+    def tips(self, traits: Array, start: Array, change: Change) -> tuple[Array, Array]:
+        """Measured minus simulated tip, sideways, after each step, and the simulated one, each of shape (steps,).
+
+        The first is NaN where nothing was measured.
+        """
+        told = self.points(Lanes(traits[None] + change.traits, start[None], [change]), every=1)[:, 0, -1, 0]
+        return self.run.points_cm[1 : self.steps + 1, -1, 0] - told, told
+
+    def answers(self, traits: Array, change: Change) -> Answers:
+        """How this run would answer what happens by chance, for a plant with these traits, shape (9,)."""
+        alone = Lanes(traits[None], np.zeros((1, 2)), [change])
+        still = self.points(alone)
+        base = self.of_points(still)[0]
+        to: dict[str, Array] = {}
+        at_h: dict[str, Array] = {}
+        for name, knot_h in KNOT_H.items():
+            per_knot = max(1, round(knot_h / self.step_h))
+            knots = -(-self.steps // per_knot)
+            push = np.zeros((self.steps, knots))
+            push[np.arange(self.steps), np.arange(self.steps) // per_knot] = _PUSH[name]
+            lanes = Lanes(np.repeat(traits[None], knots, axis=0), np.zeros((knots, 2)), [change] * knots)
+            told = self.of_points(self.points(lanes, {name: push if name == "bias" else 1.0 + push}))
+            to[name] = (told - base).T / _PUSH[name]
+            at_h[name] = (np.arange(knots) + 0.5) * per_knot * self.step_h
+        lengths = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
+        length_cm = np.interp(at_h["bias"], self._told_h, lengths)
+        return Answers(to, at_h, length_cm)
+
+    def _first(self, lanes: Lanes, scale: Array) -> Stems:
+        """The first stem as it really stood: without what the camera does to it."""
+        count = len(lanes.traits)
+        length = np.repeat(self._length, count, axis=0) / scale[:, None]
+        arc = np.cumsum(self._length[0]) / self._length[0].sum() - 0.5
+        bend = lanes.start[:, :1] + lanes.start[:, 1:] * arc[None]
+        at_start = np.radians([change.turn_deg for change in lanes.changes])
+        angle = np.repeat(self._angle, count, axis=0) + bend - at_start[:, None]
+        return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
+
+    def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 12) and light (steps, lanes, 2) of changes."""
+        share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
+        turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
+        scale = np.array([c.scale for c in changes])
+        terms = np.stack([c.terms for c in changes])
+        late = {(c.late_h, c.late_per_h): k for k, c in enumerate(changes)}
+        lights = {key: late_light(self.light, self.step_h, *key) for key in late}
+        light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)
+        return turn, scale, terms, light
+
+
+def late_light(light: Array, step_h: float, late_h: float, per_h: float) -> Array:
+    """What shone on the plant, if the record runs before it: levels (steps, 2).
+
+    What shone before the first step and after the last is taken to be what shone in these.
+    """
+    if late_h == 0.0 and per_h == 0.0:
+        return light
+    steps = len(light)
+    edges = np.arange(steps + 1) * step_h
+    then = edges - late_h - per_h * edges
+    dose = np.concatenate([np.zeros((1, 2)), np.cumsum(light, axis=0) * step_h])
+    beyond = np.minimum(then, 0.0)[:, None] * light[0] + np.maximum(then - edges[-1], 0.0)[:, None] * light[-1]
+    told = np.stack([np.interp(then, edges, dose[:, lamp]) for lamp in range(2)], axis=1) + beyond
+    return np.asarray(np.clip(np.diff(told, axis=0) / np.maximum(np.diff(then), 1e-9)[:, None], 0.0, None))
+
+
+def without(run: MeasuredRun, rows: Array) -> MeasuredRun:
+    """The run, as if no stem had been measured in some rows; its first and last stay."""
+    points = run.points_cm.copy()
+    hidden = np.array(rows, dtype=np.bool_)
+    hidden[[0, -1]] = False
+    points[hidden] = np.nan
+    return replace(run, points_cm=points)

@@ -1,0 +1,39 @@
+"""One clock runs faster than the other."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from flora_lab.effects.effect import Change, Effect, Parameter, Values
+
+
+def act(change: Change, v: Values) -> None:
+    """The light shone more and more late."""
+    change.late_per_h += v["per_hour"]
+
+
+def sentence(v: Values) -> str:
+    """What it means."""
+    minutes = 60.0 * v["per_hour"]
+    return f"what the lamps did shows ever later than their record: {minutes:+.1f} minutes more with every hour"
+
+
+EFFECT: Final = Effect(
+    name="clock_skew",
+    title="A clock that runs wrong",
+    where="clock",
+    parameters=(
+        Parameter(
+            name="per_hour",
+            none=0.0,
+            low=-0.05,
+            high=0.05,
+            scale="linear",
+            meaning="hours by which the record of the lamps falls behind, per hour",
+            source="a bad oscillator; a computer that sleeps",
+            starts=(-0.015, 0.015),
+        ),
+    ),
+    forms=(act,),
+    sentence=sentence,
+)

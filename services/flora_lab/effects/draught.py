@@ -1,0 +1,40 @@
+"""Something pushes the stem to one side all the time."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from flora_lab.effects.effect import Change, Effect, Parameter, Values
+from flora_lab.simulator import terms
+
+
+def act(change: Change, v: Values) -> None:
+    """A steady stimulus beside the others."""
+    change.terms[terms.PUSH] += v["drive_per_cm_h"]
+
+
+def sentence(v: Values) -> str:
+    """What it means."""
+    side, size = "right" if v["drive_per_cm_h"] > 0 else "left", abs(v["drive_per_cm_h"])
+    return f"something pushes the stem to the {side} all the time, {size:.3f} per cm and hour"
+
+
+EFFECT: Final = Effect(
+    name="draught",
+    title="Steady push to a side",
+    where="plant",
+    parameters=(
+        Parameter(
+            name="drive_per_cm_h",
+            none=0.0,
+            low=-0.3,
+            high=0.3,
+            scale="linear",
+            meaning="curvature per hour of a steady push to the right",
+            source="a fan, a window, a leaning pot",
+            starts=(-0.1, 0.1),
+        ),
+    ),
+    forms=(act,),
+    sentence=sentence,
+)

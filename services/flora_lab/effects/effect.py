@@ -1,0 +1,140 @@
+"""What a named effect is: its parameters, and what it changes in the model of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.simulator.terms import NEUTRAL
+from flora_lab.simulator.tropism_traits import NAMES
+
+Array = npt.NDArray[Any]
+Values = Mapping[str, float]
+Where = Literal["plant", "camera", "clock", "simulator"]
+
+RUN_H: Final = 72.0
+"""The length of a run that parameters given "over the run" refer to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: with its unit, where it has one.
+        none: the value at which there is no effect; None for a number that only says what kind of effect it is.
+        low, high: what is plausible.
+        scale: ``log`` for factors and times, ``linear``, or ``day`` for hours on a clock of 24.
+        meaning: in a few words.
+        source: of the range.
+        starts: values from which a search sets out, where ``none`` will not do.
+    """
+
+    name: str
+    none: float | None
+    low: float
+    high: float
+    scale: Literal["log", "linear", "day"]
+    meaning: str
+    source: str
+    starts: tuple[float, ...] = ()
+
+    def coordinate(self, value: float) -> float:
+        """In which the search moves: the logarithm on a ``log`` scale."""
+        return float(np.log(value)) if self.scale == "log" else value
+
+    def value(self, coordinate: float) -> float:
+        """Undo :meth:`coordinate`."""
+        return float(np.exp(coordinate)) if self.scale == "log" else coordinate
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Coordinates between which it is searched: some way beyond what is plausible, but never to the other side of
+        where there is no effect, if all that is plausible lies on one."""
+        low, high = self.coordinate(self.low), self.coordinate(self.high)
+        if self.scale == "day":
+            return -math.inf, math.inf
+        if self.none is None:
+            room = 0.1 * (high - low)
+            return low - room, high + room
+        none, room = self.coordinate(self.none), 0.6 * (high - low)
+        return (none if none <= low else low - room), (none if none >= high else high + room)
+
+    @property
+    def centre(self) -> float:
+        """Coordinate about which it is expected: where there is no effect, or the middle of the range."""
+        if self.none is not None:
+            return self.coordinate(self.none)
+        return 0.5 * (self.coordinate(self.low) + self.coordinate(self.high))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the coordinate before any data: the far end of the range lies two of them away."""
+        ends = (abs(self.coordinate(self.low) - self.centre), abs(self.coordinate(self.high) - self.centre))
+        return max(ends) / 2.0
+
+
+@dataclass(slots=True)
+class Change:
+    """What effects change in the model of a run; as made, nothing.
+
+    Attributes:
+        traits: added to the logarithms of the plant's constants, shape (9,).
+        terms: see :mod:`flora_lab.simulator.terms`, shape (12,).
+        turn_deg: of the camera, positive when stems look as if they leant more to the right.
+        drift_deg: the same, growing from 0 to this over 72 h.
+        scale: centimetres that the camera takes one for.
+        late_h: by how much the record of the lamps runs before what they did.
+        late_per_h: by how much more with each hour.
+        rhythm_cm: amplitude of the tip's own swing.
+        rhythm_h: its period.
+    """
+
+    traits: Array = field(default_factory=lambda: np.zeros(len(NAMES)))
+    terms: Array = field(default_factory=NEUTRAL.copy)
+    turn_deg: float = 0.0
+    drift_deg: float = 0.0
+    scale: float = 1.0
+    late_h: float = 0.0
+    late_per_h: float = 0.0
+    rhythm_cm: float = 0.0
+    rhythm_h: float = 1.64
+
+    def times(self, trait: str, factor: float) -> None:
+        """Multiply one of the plant's constants."""
+        self.traits[NAMES.index(trait)] += np.log(factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A cause with a name.
+
+    Attributes:
+        name: as in ``diagnosis.json``.
+        title: for people.
+        where: what it is an effect of: the plant, or the record of it.
+        parameters: what it has.
+        forms: ways in which nature may do it; each writes its change. The data choose between them.
+        same_as: effects that no track and light can tell from it, with what would.
+        sentence: what it means, given its values.
+        prior: how much more often it is met than another one, before any data.
+    """
+
+    name: str
+    title: str
+    where: Where
+    parameters: tuple[Parameter, ...]
+    forms: tuple[Callable[[Change, Values], None], ...]
+    sentence: Callable[[Values], str]
+    same_as: Mapping[str, str] = field(default_factory=dict)
+    prior: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)

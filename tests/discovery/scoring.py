@@ -1,0 +1,205 @@
+"""How well hidden effects were named: from truths and diagnoses to figures and tables. Pure functions.
+
+What counts as what:
+
+- A *claim* is a diagnosis with the verdict ``explained`` and at least one cause. Its first cause is right where it is
+  the hidden effect, or where both are one of :data:`SAME` and the other is named as confusable.
+- A *false alarm* is any verdict but ``nothing_wrong`` where nothing is hidden.
+- A *confident wrong name* is a cause with a confidence of at least 0.8 that is not hidden in the case, whatever the
+  verdict says.
+- A case whose diagnosis failed claims nothing and is counted as such.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+SAME = frozenset({"phototropic_latency", "clock_offset"})
+"""Exactly the same in light and track, so that no finder can choose."""
+CONFIDENT = 0.8
+BINS = 10
+DAY_H = 24.0
+SIGN_FREE = frozenset({"angle_deg", "offset_h", "per_hour"})
+"""Parameters whose direction is a matter of convention."""
+OWN_UNIT = frozenset({("sag", "amplitude")})
+"""Parameters whose unit belongs to the model that has them."""
+
+Json = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One judged case.
+
+    Attributes:
+        truth: ``truth.json``.
+        diagnosis: ``diagnosis.json``, or None where the command failed.
+        seconds: that the command took.
+    """
+
+    truth: Json
+    diagnosis: Json | None
+    seconds: float
+
+    @property
+    def kind(self) -> str:
+        return str(self.truth["kind"])
+
+    @property
+    def form(self) -> int:
+        return int(self.truth["form"])
+
+    @property
+    def hidden(self) -> list[str]:
+        return [str(effect["effect"]) for effect in self.truth["effects"]]
+
+    @property
+    def verdict(self) -> str:
+        return "failed" if self.diagnosis is None else str(self.diagnosis["verdict"])
+
+    @property
+    def causes(self) -> list[Json]:
+        return [] if self.diagnosis is None else list(self.diagnosis["causes"])
+
+    @property
+    def claimed(self) -> list[Json]:
+        return self.causes if self.verdict == "explained" else []
+
+    def names(self, cause: Json) -> str | None:
+        """The hidden effect that a cause names, or None."""
+        name = str(cause["effect"])
+        if name in self.hidden:
+            return name
+        if name in SAME:
+            for other in SAME - {name}:
+                if other in self.hidden and other in cause.get("confusable_with", ()):
+                    return other
+        return None
+
+    @property
+    def first(self) -> str:
+        """What the diagnosis says, in one word: the first cause of a claim, or the verdict."""
+        return str(self.claimed[0]["effect"]) if self.claimed else self.verdict
+
+    @property
+    def right(self) -> bool:
+        return bool(self.claimed) and self.names(self.claimed[0]) is not None
+
+
+@dataclass(frozen=True)
+class Share:
+    """So many of so many, with the 95 % interval of Wilson (1927)."""
+
+    count: int
+    total: int
+
+    @property
+    def value(self) -> float:
+        return self.count / self.total if self.total else math.nan
+
+    def interval(self) -> tuple[float, float]:
+        if not self.total:
+            return math.nan, math.nan
+        z = 1.959964
+        n, p = self.total, self.value
+        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+        half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+    def __str__(self) -> str:
+        if not self.total:
+            return "-"
+        low, high = self.interval()
+        return f"{100 * self.value:.0f} % ({100 * low:.0f}-{100 * high:.0f}), {self.count} of {self.total}"
+
+
+def share(items: Iterable[bool]) -> Share:
+    """How many of these hold."""
+    seen = list(items)
+    return Share(sum(seen), len(seen))
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """One parameter of one rightly named cause: relative error, and whether its interval holds the truth."""
+
+    effect: str
+    parameter: str
+    relative: float
+    held: bool | None
+
+
+def parameter_errors(outcomes: Sequence[Outcome]) -> list[ParameterError]:
+    """Of all causes rightly named by their own name, the parameters that truth and diagnosis share."""
+    found = []
+    for outcome in outcomes:
+        for cause in outcome.claimed:
+            for effect in outcome.truth["effects"]:
+                if effect["effect"] == cause["effect"]:
+                    found += _errors_of(effect, cause)
+    return found
+
+
+def _errors_of(effect: Json, cause: Json) -> Iterable[ParameterError]:
+    for name, true in effect["parameters"].items():
+        if name not in cause["parameters"] or (effect["effect"], name) in OWN_UNIT:
+            continue
+        told = float(cause["parameters"][name])
+        low, high = (float(value) for value in cause.get("interval", {}).get(name, (math.nan, math.nan)))
+        truths = [true]
+        if name in SIGN_FREE:
+            truths = [true, -true]
+        elif name == "peak_h":
+            truths = [true - DAY_H, true, true + DAY_H]
+        size = DAY_H if name == "peak_h" else abs(true)
+        error = min(abs(told - value) for value in truths) / size
+        held = None if math.isnan(low) or math.isnan(high) else any(low <= value <= high for value in truths)
+        yield ParameterError(str(effect["effect"]), name, error, held)
+
+
+def calibration_error(outcomes: Sequence[Outcome]) -> float:
+    """Expected calibration error of all claimed causes' confidences, in ten bins; NaN where nothing was claimed."""
+    pairs = [(float(c["confidence"]), o.names(c) is not None) for o in outcomes for c in o.claimed]
+    if not pairs:
+        return math.nan
+    confidence, right = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.float64)
+    bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
+    gaps = [abs(confidence[bins == b].mean() - right[bins == b].mean()) * (bins == b).sum() for b in np.unique(bins)]
+    return float(sum(gaps) / len(pairs))
+
+
+def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[float, int]:
+    """What the claims gained at the run's end, as a share of what the oracle gains, pooled; and over how many cases.
+
+    A diagnosis takes part where ``gain.free_running.end`` gives ``base`` and ``extended`` (or ``base_mm`` and
+    ``extended_mm``, in mm like the oracle's).
+    """
+    gained = possible = 0.0
+    cases = 0
+    for outcome in outcomes:
+        end = (outcome.diagnosis or {}).get("gain", {}).get("free_running", {}).get("end")
+        oracle = outcome.truth.get("oracle", {}).get(whose, {}).get("end")
+        if not outcome.right or not isinstance(end, Mapping) or oracle is None:
+            continue
+        base, extended = (end.get(name, end.get(f"{name}_mm")) for name in ("base", "extended"))
+        if base is None or extended is None:
+            continue
+        gained += float(base) - float(extended)
+        possible += oracle["base_mm"] - oracle["extended_mm"]
+        cases += 1
+    return (gained / possible if possible > 0.0 else math.nan), cases
+
+
+def confusion(outcomes: Sequence[Outcome]) -> Counter[tuple[str, str]]:
+    """How often each hidden thing (effect, ``nothing`` or an outside effect) got each answer; no pairs."""
+    return Counter(
+        (outcome.hidden[0] if outcome.hidden else "nothing", outcome.first)
+        for outcome in outcomes
+        if outcome.kind != "pair"
+    )

@@ -1,0 +1,157 @@
+"""The whole table of a judging, as aligned text and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .scoring import (
+    CONFIDENT,
+    Outcome,
+    Share,
+    calibration_error,
+    confusion,
+    gain_share,
+    parameter_errors,
+    share,
+)
+
+FORMS = {0: "same physics", 1: "other physics"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A titled table; all cells are text."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+def all_tables(outcomes: Sequence[Outcome]) -> list[Table]:
+    """Every table that these outcomes can fill."""
+    tables = [_summary(outcomes), _by_effect(outcomes), _parameters(outcomes), _confusion(outcomes)]
+    return [table for table in tables if table.rows]
+
+
+def as_text(tables: Sequence[Table]) -> str:
+    """Columns aligned, an empty line between tables."""
+    parts = []
+    for table in tables:
+        widths = [max(len(row[i]) for row in [table.header, *table.rows]) for i in range(len(table.header))]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in [table.header, tuple("-" * width for width in widths), *table.rows]
+        ]
+        parts.append("\n".join([table.title, *lines]))
+    return "\n\n".join(parts) + "\n"
+
+
+def as_markdown(tables: Sequence[Table]) -> str:
+    """The same for a page."""
+    parts = []
+    for table in tables:
+        rows = [table.header, tuple("---" for _ in table.header), *table.rows]
+        parts.append("\n".join([f"### {table.title}", "", *(f"| {' | '.join(row)} |" for row in rows)]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(outcomes: Sequence[Outcome]) -> Table:
+    rows: list[tuple[str, str, str, str]] = []
+    for form, name in FORMS.items():
+        of = {
+            kind: [o for o in outcomes if o.kind == kind and o.form == form]
+            for kind in ("single", "none", "pair", "outside")
+        }
+        rows += [(what, name, str(value), aim) for what, value, aim in _figures(of, form) if str(value) != "-"]
+    claims = calibration_error(outcomes)
+    if not math.isnan(claims):
+        rows.append(("calibration error of confidences", "both", f"{claims:.3f}", "<= 0.08"))
+    gained, cases = gain_share(outcomes)
+    if not math.isnan(gained):
+        rows.append(("gain at the end, share of the oracle's", "both", f"{gained:.2f} ({cases} cases)", ">= 0.90"))
+    failed = share(o.diagnosis is None for o in outcomes)
+    if failed.count:
+        rows.append(("failed", "both", str(failed), "0"))
+    seconds = [o.seconds for o in outcomes]
+    if seconds:
+        told = f"{np.median(seconds):.0f} median, {max(seconds):.0f} longest"
+        rows.append(("seconds per case", "both", told, "< 240 with the base's fit"))
+    return Table(f"Summary of {len(outcomes)} cases", ("what", "physics", "found", "aim"), rows)
+
+
+def _figures(of: dict[str, list[Outcome]], form: int) -> list[tuple[str, Share | str, str]]:
+    single, none, pair, outside = of["single"], of["none"], of["pair"], of["outside"]
+    errors = parameter_errors(single)
+    both = [{o.names(c) for c in o.claimed} - {None} for o in pair]
+    false_names = [sum(o.names(c) is None for c in o.claimed) for o in pair]
+    wrong = [any(float(c["confidence"]) >= CONFIDENT and o.names(c) is None for c in o.causes) for o in outside]
+    middle = (
+        f"{100 * float(np.median([e.relative for e in errors])):.1f} %, {len(errors)} parameters" if errors else "-"
+    )
+    return [
+        ("right cause first", share(o.right for o in single), ">= 80 %" if form == 0 else ">= 72 %"),
+        ("right of those claimed", share(o.right for o in single if o.claimed), ">= 95 %" if form == 0 else ""),
+        ("right name, called unexplained", share(_flagged(o) for o in single), ""),
+        ("false alarms", share(o.verdict not in {"nothing_wrong", "failed"} for o in none), "<= 5 %"),
+        ("false alarms that name a cause", share(bool(o.claimed) for o in none), ""),
+        ("pairs: both named", share(len(names) == 2 for names in both), ">= 65 %"),
+        ("pairs: at least one named", share(bool(names) for names in both), ">= 98 %"),
+        ("pairs: false names per case", f"{np.mean(false_names):.2f}" if pair else "-", "<= 0.3"),
+        ("outside: unexplained", share(o.verdict == "unexplained" for o in outside), ">= 80 %"),
+        ("outside: confident wrong name", share(wrong), "<= 10 %"),
+        ("outside: taken for nothing", share(o.verdict == "nothing_wrong" for o in outside), ""),
+        ("parameter error, median", middle, "<= 8 %"),
+        ("90 % intervals that hold", share(e.held for e in errors if e.held is not None), "82-97 %"),
+    ]
+
+
+def _flagged(outcome: Outcome) -> bool:
+    causes = outcome.causes
+    return outcome.verdict == "unexplained" and bool(causes) and outcome.names(causes[0]) is not None
+
+
+def _by_effect(outcomes: Sequence[Outcome]) -> Table:
+    rows = []
+    for form, physics in FORMS.items():
+        single = [o for o in outcomes if o.kind in {"single", "outside"} and o.form == form]
+        for effect in sorted({o.hidden[0] for o in single}):
+            these = [o for o in single if o.hidden[0] == effect]
+            right = share(o.right for o in these)
+            claimed = share(bool(o.claimed) for o in these)
+            unknown = share(o.verdict == "unexplained" for o in these)
+            rows.append((effect, physics, str(len(these)), *(f"{s.count}" for s in (right, claimed, unknown))))
+    return Table("By hidden effect", ("hidden", "physics", "cases", "right first", "claimed", "unexplained"), rows)
+
+
+def _parameters(outcomes: Sequence[Outcome]) -> Table:
+    rows = []
+    for form, physics in FORMS.items():
+        errors = parameter_errors([o for o in outcomes if o.form == form])
+        for key in sorted({(e.effect, e.parameter) for e in errors}):
+            these = [e for e in errors if (e.effect, e.parameter) == key]
+            held = share(e.held for e in these if e.held is not None)
+            rows.append(
+                (
+                    *key,
+                    physics,
+                    str(len(these)),
+                    f"{100 * np.median([e.relative for e in these]):.1f} %",
+                    f"{held.count} of {held.total}",
+                )
+            )
+    header = ("effect", "parameter", "physics", "cases", "error, median", "interval holds")
+    return Table("Parameters of rightly named causes", header, rows)
+
+
+def _confusion(outcomes: Sequence[Outcome]) -> Table:
+    counts = confusion(outcomes)
+    hidden = sorted({key[0] for key in counts})
+    rows = []
+    for name in hidden:
+        answers = sorted(((n, told) for (true, told), n in counts.items() if true == name), reverse=True)
+        rows.append((name, str(sum(n for n, _ in answers)), ", ".join(f"{told} {n}" for n, told in answers)))
+    return Table("What was hidden and what was said", ("hidden", "cases", "said"), rows)

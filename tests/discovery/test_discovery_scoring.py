@@ -1,0 +1,159 @@
+"""Figures and tables from hand-made truths and diagnoses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from discovery.scoring import (
+    Outcome,
+    Share,
+    calibration_error,
+    confusion,
+    gain_share,
+    parameter_errors,
+    share,
+)
+from discovery.tables import all_tables, as_markdown, as_text
+
+
+def cause(effect: str, confidence: float = 0.9, **more: Any) -> dict[str, Any]:
+    return {"effect": effect, "confidence": confidence, "parameters": {}, "interval": {}, "confusable_with": [], **more}
+
+
+def outcome(
+    kind: str, hidden: dict[str, dict[str, float]], verdict: str | None, *causes: dict[str, Any], **more: Any
+) -> Outcome:
+    truth = {
+        "kind": kind,
+        "form": more.pop("form", 0),
+        "effects": [{"effect": name, "parameters": p} for name, p in hidden.items()],
+        "oracle": {"typical": {"end": {"base_mm": 10.0, "extended_mm": 6.0}}},
+    }
+    diagnosis = None if verdict is None else {"verdict": verdict, "causes": list(causes), **more}
+    return Outcome(truth, diagnosis, 30.0)
+
+
+SAG = {"sag": {"amplitude": 0.7}}
+
+
+def cells(outcomes: list[Outcome], what: str) -> list[str]:
+    """What the summary says in the rows of this name."""
+    return [row[2] for row in all_tables(outcomes)[0].rows if row[0] == what]
+
+
+def test_only_the_first_cause_of_a_claim_counts() -> None:
+    assert outcome("single", SAG, "explained", cause("sag")).right
+    assert not outcome("single", SAG, "explained", cause("draught"), cause("sag")).right
+    assert not outcome("single", SAG, "unexplained", cause("sag")).right
+    assert not outcome("single", SAG, "nothing_wrong").right
+    assert not outcome("single", SAG, None).right
+
+
+def test_latency_and_clock_offset_are_one_where_the_other_is_named_too() -> None:
+    late = {"phototropic_latency": {"delay_h": 0.4}}
+    assert outcome("single", late, "explained", cause("clock_offset", confusable_with=["phototropic_latency"])).right
+    assert not outcome("single", late, "explained", cause("clock_offset")).right
+    # No other pair is called inseparable.
+    roll = {"camera_roll": {"angle_deg": 3.0}}
+    assert not outcome("single", roll, "explained", cause("draught", confusable_with=["camera_roll"])).right
+
+
+def test_shares_come_with_the_interval_of_wilson() -> None:
+    assert Share(5, 100).interval() == pytest.approx((0.0215, 0.1118), abs=1e-4)
+    assert Share(0, 20).interval() == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert share([True, False]) == Share(1, 2)
+    assert str(Share(0, 0)) == "-"
+    assert str(Share(1, 2)) == "50 % (9-91), 1 of 2"
+
+
+def test_parameters_are_compared_in_their_own_way() -> None:
+    hidden = {
+        "diurnal_growth": {"amplitude": 0.4, "peak_h": 23.0},
+        "camera_roll": {"angle_deg": -3.0},
+        "sag": {"amplitude": 0.7},
+        "stiffening": {"factor": 0.8},
+    }
+    causes = [
+        cause("diurnal_growth", parameters={"amplitude": 0.5, "peak_h": 2.0}, interval={"peak_h": [-2.0, 1.0]}),
+        cause("camera_roll", parameters={"angle_deg": 3.3}, interval={"angle_deg": [3.1, 3.5]}),
+        cause("sag", parameters={"amplitude": 5.0}),
+        cause("draught", parameters={"drive_per_cm_h": 0.1}),
+        cause("stiffening", parameters={"factor": 0.8}, interval={"factor": [0.7, 0.9]}),
+    ]
+    errors = {e.parameter: e for e in parameter_errors([outcome("single", hidden, "explained", *causes)])}
+    assert set(errors) == {"amplitude", "peak_h", "angle_deg", "factor"}
+    assert errors["amplitude"].effect == "diurnal_growth"
+    assert errors["amplitude"].relative == pytest.approx(0.25)
+    assert errors["amplitude"].held is None
+    assert (errors["peak_h"].relative, errors["peak_h"].held) == (pytest.approx(3.0 / 24.0), True)
+    assert (errors["angle_deg"].relative, errors["angle_deg"].held) == (pytest.approx(0.1), False)
+    assert (errors["factor"].relative, errors["factor"].held) == (0.0, True)
+
+
+def test_calibration_error_weighs_bins_by_their_claims() -> None:
+    sure = [outcome("single", SAG, "explained", cause("sag" if i < 9 else "draught", 0.95)) for i in range(10)]
+    unsure = [outcome("single", SAG, "explained", cause("sag" if i < 3 else "draught", 0.55)) for i in range(10)]
+    assert calibration_error(sure) == pytest.approx(0.05)
+    assert calibration_error(sure + unsure) == pytest.approx((0.05 + 0.25) / 2)
+    assert calibration_error([outcome("none", {}, "explained", cause("sag", 1.0))]) == pytest.approx(1.0)
+    assert math.isnan(calibration_error([outcome("none", {}, "nothing_wrong")]))
+
+
+def test_gain_is_pooled_over_right_claims() -> None:
+    def gained(extended: float, effect: str = "sag") -> Outcome:
+        end = {"base": 10.0, "extended": extended}
+        return outcome("single", SAG, "explained", cause(effect), gain={"free_running": {"end": end}})
+
+    assert gain_share([gained(6.0), gained(8.0), gained(99.0, "draught")]) == (pytest.approx(6.0 / 8.0), 2)
+    value, cases = gain_share([outcome("single", SAG, "explained", cause("sag"))])
+    assert math.isnan(value)
+    assert cases == 0
+
+
+def test_the_summary_tells_each_aim_of_each_physics() -> None:
+    two = SAG | {"draught": {"drive_per_cm_h": 0.1}}
+    wall = {"wall": {"x_cm": 1.0}}
+    judged = [
+        outcome("single", SAG, "explained", cause("sag")),
+        outcome("single", SAG, "nothing_wrong"),
+        outcome("single", SAG, "unexplained", cause("sag"), form=1),
+        *[outcome("none", {}, "nothing_wrong") for _ in range(8)],
+        outcome("none", {}, "unexplained"),
+        outcome("none", {}, "explained", cause("sag", 0.6)),
+        outcome("pair", two, "explained", cause("draught"), cause("sag"), cause("camera_roll")),
+        outcome("pair", two, "explained", cause("sag")),
+        outcome("outside", wall, "unexplained"),
+        outcome("outside", wall, "unexplained", cause("draught", 0.85)),
+        outcome("outside", wall, "explained", cause("draught", 0.7)),
+        outcome("outside", wall, None),
+    ]
+    assert [text.split(" (")[0] for text in cells(judged, "right cause first")] == ["50 %", "0 %"]
+    assert cells(judged, "right of those claimed")[0].endswith("1 of 1")
+    assert [text[-6:] for text in cells(judged, "right name, called unexplained")] == ["0 of 2", "1 of 1"]
+    assert cells(judged, "false alarms")[0].endswith("2 of 10")
+    assert cells(judged, "false alarms that name a cause")[0].endswith("1 of 10")
+    assert cells(judged, "pairs: both named")[0].endswith("1 of 2")
+    assert cells(judged, "pairs: at least one named")[0].endswith("2 of 2")
+    assert cells(judged, "pairs: false names per case") == ["0.50"]
+    assert cells(judged, "outside: unexplained")[0].endswith("2 of 4")
+    assert cells(judged, "outside: confident wrong name")[0].endswith("1 of 4")
+    assert cells(judged, "failed")[0].endswith("1 of 19")
+    assert confusion(judged)["nothing", "nothing_wrong"] == 8
+    assert confusion(judged)["wall", "failed"] == 1
+    assert not any(true == "draught" for true, _ in confusion(judged))
+
+
+def test_tables_align_as_text_and_are_tables_in_markdown() -> None:
+    tables = all_tables([outcome("single", SAG, "explained", cause("sag")), outcome("none", {}, "nothing_wrong")])
+    text = as_text(tables).splitlines()
+    at = text[1].index("physics")
+    assert all(line[at - 1] == " " and line[at] != " " for line in text[3:6])
+    page = as_markdown(tables)
+    assert "| hidden | cases | said |\n| --- | --- | --- |\n| nothing | 1 | nothing_wrong 1 |" in page
+
+
+def test_no_outcomes_make_no_table_but_its_head() -> None:
+    assert all_tables([]) == []
