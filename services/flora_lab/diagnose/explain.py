@@ -9,11 +9,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose import rhythm
-from flora_lab.diagnose.joint import Base, Found, Hypothesis, Joint, ready
+from flora_lab.diagnose import rhythm, search
+from flora_lab.diagnose.joint import About, Base, Found, Hypothesis, Joint, about, ready
 from flora_lab.diagnose.rhythm import Swing, Usual
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.search import forms_of, with_cause
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 
@@ -95,6 +94,7 @@ class Explainer:
         self.base = base
         self.usual = usual
         self._on_step = on_step
+        self._abouts: list[About] = []
 
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it."""
@@ -130,19 +130,15 @@ class Explainer:
     def stage(self, joint: Joint, before: Found, swing: Swing | None) -> Stage:
         """All causes that are not yet in, on top of those that are."""
         there = set(before.hypothesis.names())
-        tried = []
+        tried: list[Tried] = []
         if swing is None:
             own = self.swing(joint, before)
             if rhythm.is_plausible(own):
                 tried.append(Tried(BY_NAME[SWING], own.evidence, None, own))
-        for effect in CATALOGUE:
-            if effect.name == SWING or effect.name in there or not self._may_be(effect):
-                continue
-            fits = [with_cause(joint, before, cause) for cause in forms_of(effect)]
-            best = max(fits, key=lambda fit: fit.evidence)
-            gain = best.evidence - before.evidence - np.log(len(fits)) + np.log(effect.prior)
-            tried.append(Tried(effect, float(gain), best))
-            self._on_step()
+        effects = [e for e in CATALOGUE if e.name != SWING and e.name not in there and self._may_be(e)]
+        for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
+            gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
+            tried.append(Tried(effect, float(gain), fit))
         return Stage(before, tuple(sorted(tried, key=lambda t: -t.gain)))
 
     def swing(self, joint: Joint, found: Found) -> Swing:
@@ -154,6 +150,13 @@ class Explainer:
             left.append(rhythm.spectrum(rest, scene.step_h))
             expected.append(self.usual.expected(rhythm.spectrum(simulated, scene.step_h)))
         return rhythm.best_swing(left, expected)
+
+    def _around(self, alone: Sequence[Found]) -> list[About]:
+        if not self._abouts:
+            self._abouts = [
+                about(scene, fit.traits[0], fit.start[0]) for scene, fit in zip(self.scenes, alone, strict=True)
+            ]
+        return self._abouts
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
@@ -169,7 +172,9 @@ class Explainer:
     def _all_alone(self) -> list[Found]:
         """Each run by itself; one that ended badly once more from where the others did."""
         base = self.base.of_single_runs()
-        joints = [Joint([ready(scene, base, base.mean, np.zeros(2), together=0)], base) for scene in self.scenes]
+        joints = [
+            Joint([ready(scene, base, about(scene, base.mean, np.zeros(2)), together=0)], base) for scene in self.scenes
+        ]
         fits = [joint.fit(joint.null(), 12) for joint in joints]
         usual = min(fit.misfit / scene.size for fit, scene in zip(fits, self.scenes, strict=True))
         out = []
@@ -186,8 +191,8 @@ class Explainer:
     def _joint(self, alone: Sequence[Found], swing: Swing | None) -> Joint:
         count = len(self.scenes)
         runs = [
-            ready(scene, self.base, fit.traits[0], fit.start[0], together=count, swing=swing)
-            for scene, fit in zip(self.scenes, alone, strict=True)
+            ready(scene, self.base, around, together=count, swing=swing)
+            for scene, around in zip(self.scenes, self._around(alone), strict=True)
         ]
         return Joint(runs, self.base)
 

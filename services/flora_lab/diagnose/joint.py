@@ -122,21 +122,39 @@ class Ready:
         return np.asarray(self.inverse_root @ values)
 
 
-def ready(scene: Scene, base: Base, traits: Array, start: Array, *, together: int, swing: Swing | None = None) -> Ready:
-    """A run with what chance and the law's errors do to a plant about these traits.
+@dataclass(frozen=True, slots=True)
+class About:
+    """What chance and the law's errors would do to a run, per unit of each, about one plant.
+
+    Attributes:
+        parts: see :func:`flora_lab.diagnose.chance.covariances`, shape (12, m, m).
+        wrong: see :func:`flora_lab.diagnose.law_errors.directions`, shape (m, k).
+    """
+
+    parts: Array
+    wrong: Array
+
+
+def about(scene: Scene, traits: Array, start: Array) -> About:
+    """All that is linear about a plant with these traits, shape (9,), and this start, shape (2,)."""
+    parts = chance.covariances(scene, scene.answers(traits, Change()))
+    return About(parts, law_errors.directions(scene, traits, start))
+
+
+def ready(scene: Scene, base: Base, around: About, *, together: int, swing: Swing | None = None) -> Ready:
+    """A run with what chance and the law's errors do to it.
 
     Args:
         scene: the run.
         base: what is known.
-        traits, start: of its plant, about which all is linear.
+        around: of about the plant that it is.
         together: number of runs that will be explained together. What the law is wrong by is known from so few runs
             that the mean over many others is not known better than these tell.
         swing: of the tip, that is there besides.
     """
-    parts = chance.covariances(scene, scene.answers(traits, Change()))
-    wrong = law_errors.directions(scene, traits, start)
     more = 1.0 + together / max(base.runs, 1)
-    covariance = np.tensordot(base.sizes**2, parts, axes=1) + (wrong * (more * base.wrong**2)) @ wrong.T
+    wrong = around.wrong
+    covariance = np.tensordot(base.sizes**2, around.parts, axes=1) + (wrong * (more * base.wrong**2)) @ wrong.T
     if swing is not None:
         covariance += chance.of_swing(scene, swing)
     m = scene.size
@@ -222,6 +240,60 @@ class Joint:
                 break
         return self._with_evidence(at)
 
+    def screened(self, before: Found, cause: Cause, start: Array) -> Found:
+        """Where one cause more would lead from one start, with about the evidence that it would come to.
+
+        All is linear in the plants and in the parameters about the start; the plants' own slopes are those of
+        ``before``, so that this costs a tenth of a fit.
+
+        Args:
+            before: fitted, without the cause.
+            cause: which.
+            start: coordinates of its parameters.
+        """
+        hypothesis = Hypothesis((*before.hypothesis.causes, cause))
+        at = Found(hypothesis, np.concatenate([before.coordinates, start]), before.traits, before.start)
+        away = self._away(at)
+        at.misfit = 0.5 * float(away @ self._precision(hypothesis) @ away)
+        for run, own in enumerate(self.runs):
+            told, slopes = self._slopes_of_last(at, run, len(start))
+            residual = own.white(own.measured - told)
+            at.residuals.append(residual)
+            at.jacobians.append(np.concatenate([before.jacobians[run], own.white(slopes)], axis=1))
+            at.misfit += 0.5 * float(residual @ residual)
+        if not np.isfinite(at.misfit):
+            return at
+        normal, downhill = self._normal(at)
+        step = np.linalg.solve(normal, downhill)
+        misfit = at.misfit - 0.5 * float(downhill @ step)
+        ratio = np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self._precision(hypothesis))[1]
+        moved = self._moved(at, step)
+        moved.evidence = float(-misfit - 0.5 * ratio)
+        return moved
+
+    def _slopes_of_last(self, found: Found, run: int, count: int) -> tuple[Array, Array]:
+        """Features of a run (m + 2,), and their derivatives (m + 2, count) in the last so many parameters."""
+        widths = np.array([0.05 * p.spread for p in found.hypothesis.parameters[-count:]])
+        away = np.zeros((count, len(found.coordinates)))
+        away[:, len(found.coordinates) - count :] = np.diag(widths)
+        lanes = found.coordinates + np.concatenate([np.zeros((1, away.shape[1])), away, -away])
+        told = self._told(run, found.traits[run], found.start[run], self._changes(found.hypothesis, lanes))
+        return told[0], ((told[1 : count + 1] - told[count + 1 :]) / (2.0 * widths[:, None])).T
+
+    def _told(self, run: int, traits: Array, start: Array, changes: Sequence[Change]) -> Array:
+        """Features of a run, with those of its first stem, shape (changes, m + 2).
+
+        Args:
+            run: which.
+            traits, start: of the plant, shape (9,) and (2,), or one row per change.
+            changes: one per row of the answer.
+        """
+        shifts = np.stack([change.traits for change in changes])
+        starts = np.broadcast_to(start, (len(changes), len(START_SD)))
+        told = self.runs[run].scene.simulated(Lanes(traits + shifts, starts, changes))
+        first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
+        return np.concatenate([told + self.runs[run].offset, first], axis=1)
+
     def null(self) -> Found:
         """A start without any cause, all plants typical."""
         count = len(self.runs)
@@ -254,7 +326,6 @@ class Joint:
 
     def features_of(self, found: Found, run: int, *, with_slopes: bool = True) -> tuple[Array, Array]:
         """Features of a run (m + 2,), and their derivatives (m + 2, 11 + q) in its own unknowns and the parameters."""
-        scene = self.runs[run].scene
         parameters = found.hypothesis.parameters
         q = len(parameters)
         widths = np.concatenate([_STEP_SD * self._trait_sd, START_SD * 0.5, [0.05 * p.spread for p in parameters]])
@@ -264,10 +335,7 @@ class Joint:
         away = np.diag(widths) if with_slopes else np.zeros((0, n))
         lanes = unknown + np.concatenate([np.zeros((1, n)), away, -away[n - q :] if with_slopes else away])
         changes = self._changes(found.hypothesis, lanes[:, _OWN:])
-        shifts = np.stack([change.traits for change in changes])
-        told = scene.simulated(Lanes(lanes[:, :TRAITS] + shifts, lanes[:, TRAITS:_OWN], changes))
-        first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
-        told = np.concatenate([told + self.runs[run].offset, first], axis=1)
+        told = self._told(run, lanes[:, :TRAITS], lanes[:, TRAITS:_OWN], changes)
         if not with_slopes:
             return told[0], np.zeros((len(told[0]), 0))
         slopes = told[1 : n + 1] - told[0]

@@ -11,14 +11,13 @@ import numpy.typing as npt
 import scipy.linalg
 
 from flora_lab.diagnose import chance, law_errors
-from flora_lab.diagnose.joint import START_SD, TRAITS, Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.joint import START_SD, TRAITS, About, Base, Found, Joint, Ready, about, ready
 from flora_lab.diagnose.scene import Scene
-from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
 
 Array = npt.NDArray[Any]
 
-ROUNDS: Final = 4
+ROUNDS: Final = 3
 SPREAD_STRENGTH: Final = 9.0
 """What the sources say of how plants differ counts as much as this many plants."""
 _FAR_WORSE: Final = 2.0
@@ -84,16 +83,17 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _:
         count,
     )
     fits: list[Found] = []
+    around = [about(scene, base.mean, np.zeros(2)) for scene in scenes]
     for number in range(1, ROUNDS + 1):
         alone = base.of_single_runs()
-        centres = [(fit.traits[0], fit.start[0]) for fit in fits] or [(base.mean, np.zeros(2))] * count
-        runs = [ready(scene, alone, *at, together=0) for scene, at in zip(scenes, centres, strict=True)]
+        runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, around, strict=True)]
         starts = fits or [Joint([one], alone).null() for one in runs]
         iterations = 12 if number == 1 else 5
         fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
         fits = _from_the_middle(runs, alone, fits)
         base = _population(_near(fits) if number < ROUNDS else fits, known_doubt, base)
-        linear = [_about_typical(scene, base, one, fit) for scene, one, fit in zip(scenes, runs, fits, strict=True)]
+        around = [about(scene, fit.traits[0], fit.start[0]) for scene, fit in zip(scenes, fits, strict=True)]
+        linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, around, strict=True)]
         base = _with_chance(linear, base)
         on_round(number)
     return base, fits
@@ -144,14 +144,13 @@ def _population(fits: Sequence[Found], known_doubt: Array, base: Base) -> Base:
     return replace(base, mean=mean, spread=spread, doubt=doubt)
 
 
-def _about_typical(scene: Scene, base: Base, run: Ready, fit: Found) -> _Linear:
+def _about_typical(base: Base, run: Ready, fit: Found, around: About) -> _Linear:
     """A run, from its own fit carried on to the typical plant: linear, because that plant may stand elsewhere."""
+    scene = run.scene
     told, slopes = Joint([replace(run, offset=np.zeros(scene.size))], base.of_single_runs()).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
     away = np.concatenate([fit.traits[0] - base.mean, fit.start[0]])
-    parts = chance.covariances(scene, scene.answers(fit.traits[0], Change()))
-    wrong = law_errors.directions(scene, fit.traits[0], fit.start[0])
-    return _Linear(scene.features - told + slopes @ away, slopes, parts, wrong)
+    return _Linear(scene.features - told + slopes @ away, slopes, around.parts, around.wrong)
 
 
 def _with_chance(runs: Sequence[_Linear], base: Base) -> Base:

@@ -6,7 +6,7 @@ Compared are hourly means, which keep what matters over hours and are rid of mos
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -226,12 +226,3 @@ def late_light(light: Array, step_h: float, late_h: float, per_h: float) -> Arra
     beyond = np.minimum(then, 0.0)[:, None] * light[0] + np.maximum(then - edges[-1], 0.0)[:, None] * light[-1]
     told = np.stack([np.interp(then, edges, dose[:, lamp]) for lamp in range(2)], axis=1) + beyond
     return np.asarray(np.clip(np.diff(told, axis=0) / np.maximum(np.diff(then), 1e-9)[:, None], 0.0, None))
-
-
-def without(run: MeasuredRun, rows: Array) -> MeasuredRun:
-    """The run, as if no stem had been measured in some rows; its first and last stay."""
-    points = run.points_cm.copy()
-    hidden = np.array(rows, dtype=np.bool_)
-    hidden[[0, -1]] = False
-    points[hidden] = np.nan
-    return replace(run, points_cm=points)

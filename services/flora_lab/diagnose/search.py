@@ -1,44 +1,61 @@
-"""How much better each cause of the catalogue explains some runs than the simulator as it is."""
+"""How much better each cause of the catalogue explains some runs than what explains them so far."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose.joint import Cause, Found, Hypothesis, Joint
+from flora_lab.diagnose.joint import Cause, Found, Joint
 from flora_lab.effects.effect import Effect, Parameter
 
 Array = npt.NDArray[Any]
 
-_FIRST: Final = 2
-_THEN: Final = 8
-"""Steps of every start, and of the best one of them."""
+_STEPS: Final = 10
+FULLY: Final = 7
+"""Effects that are fitted in full, at least: those that come to most where all is taken for linear."""
+_NEARLY: Final = 0.4
+"""An effect that comes to more than this share of the best one's gain there is fitted in full too."""
+
+
+def best_of_each(
+    joint: Joint, before: Found, effects: Sequence[Effect], on_effect: Callable[[], None] = lambda: None
+) -> list[tuple[Effect, Found]]:
+    """Each effect in its best form, on top of what explains the runs so far.
+
+    Args:
+        joint: the runs.
+        before: the explanation without another cause, fitted.
+        effects: to be tried.
+        on_effect: told that one is done.
+
+    Returns:
+        Effect and fit, in no order; those that came to little where all was taken for linear are only that far.
+    """
+    looks = {effect.name: [_best_start(joint, before, cause) for cause in forms_of(effect)] for effect in effects}
+    gains = {name: max(found.evidence for found in forms) - before.evidence for name, forms in looks.items()}
+    ranked = sorted(effects, key=lambda effect: -gains[effect.name])
+    out = []
+    for place, effect in enumerate(ranked):
+        forms = looks[effect.name]
+        if place < FULLY or gains[effect.name] > _NEARLY * gains[ranked[0].name]:
+            forms = [joint.fit(found, _STEPS) for found in forms]
+        out.append((effect, max(forms, key=lambda found: found.evidence)))
+        on_effect()
+    return out
+
+
+def _best_start(joint: Joint, before: Found, cause: Cause) -> Found:
+    looks = [joint.screened(before, cause, start) for start in _starts(cause.parameters)]
+    return max(looks, key=lambda found: found.evidence)
 
 
 def forms_of(effect: Effect) -> Iterator[Cause]:
     """The effect in each of its forms."""
     return (Cause(effect, form) for form in range(len(effect.forms)))
-
-
-def with_cause(joint: Joint, before: Found, cause: Cause) -> Found:
-    """The best explanation with one cause more, from all its starts.
-
-    Args:
-        joint: the runs.
-        before: the explanation without it.
-        cause: which.
-    """
-    hypothesis = Hypothesis((*before.hypothesis.causes, cause))
-    tried = [
-        joint.fit(Found(hypothesis, np.concatenate([before.coordinates, own]), before.traits, before.start), _FIRST)
-        for own in _starts(cause.parameters)
-    ]
-    best = max(tried, key=lambda found: found.evidence)
-    return joint.fit(Found(hypothesis, best.coordinates, best.traits, best.start), _THEN)
 
 
 def _starts(parameters: Sequence[Parameter]) -> Iterator[Array]:

@@ -1,0 +1,97 @@
+"""What is wrong with a record before anything is compared: gaps, and stems that were found wrongly.
+
+A single tip that was taken for a leaf looks like the end of the world to a fit. Such rows are left out, and told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.simulator.measured import MeasuredRun
+
+Array = npt.NDArray[Any]
+
+GAP_H: Final = 0.5
+"""A shorter gap is told by nobody."""
+_ABOUT_ROWS: Final = 7
+_LEAST_JUMP_CM: Final = 0.6
+_JUMP_MADS: Final = 12.0
+_STUCK_H: Final = 2.0
+_MAD_SD: Final = 1.4826
+
+
+def cleaned(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
+    """The run without rows that no plant can have left, and sentences about what was found."""
+    told: list[str] = []
+    wrong = _jumps(run) | _stuck(run)
+    if wrong.any():
+        jumps, stuck = int(_jumps(run).sum()), int(_stuck(run).sum())
+        if jumps:
+            told.append(f"{run.name}: {_times(jumps, 'stem')} lay far from those before and after; left out")
+        if stuck:
+            hours = stuck * run.step_s / 3600.0
+            told.append(f"{run.name}: for {hours:.1f} h the very same stem was told again and again; left out")
+    longest_h = _longest_gap(run.is_measured) * run.step_s / 3600.0
+    if longest_h > GAP_H:
+        missing = 100.0 * (1.0 - run.is_measured.mean())
+        told.append(f"{run.name}: no stem for {longest_h:.1f} h at a time; {missing:.1f} % of all are missing")
+    return (without(run, wrong) if wrong.any() else run), told
+
+
+def without(run: MeasuredRun, rows: Array) -> MeasuredRun:
+    """The run, as if no stem had been measured in some rows; its first and last stay."""
+    points = run.points_cm.copy()
+    hidden = np.array(rows, dtype=np.bool_)
+    hidden[[0, -1]] = False
+    points[hidden] = np.nan
+    return replace(run, points_cm=points)
+
+
+def _jumps(run: MeasuredRun) -> Array:
+    """Rows whose tip is far from the median of those about it, shape (n,)."""
+    tips = run.points_cm[:, -1]
+    known = np.isfinite(tips[:, 0])
+    out = np.zeros(len(tips), dtype=np.bool_)
+    rows = np.flatnonzero(known)
+    if len(rows) < 2 * _ABOUT_ROWS:
+        return out
+    own = tips[rows]
+    half = _ABOUT_ROWS // 2
+    padded = np.pad(own, ((half, half), (0, 0)), mode="edge")
+    about = np.median(np.lib.stride_tricks.sliding_window_view(padded, _ABOUT_ROWS, axis=0), axis=-1)
+    away = np.hypot(*(own - about).T)
+    usual = _MAD_SD * float(np.median(away))
+    out[rows] = away > max(_LEAST_JUMP_CM, _JUMP_MADS * usual)
+    return out
+
+
+def _stuck(run: MeasuredRun) -> Array:
+    """Rows that repeat the stem before to the last digit, where that goes on for hours, shape (n,)."""
+    same = np.zeros(len(run), dtype=np.bool_)
+    points = run.points_cm
+    same[1:] = np.isfinite(points[1:, -1, 0]) & (points[1:] == points[:-1]).all(axis=(1, 2))
+    least = round(_STUCK_H * 3600.0 / run.step_s)
+    out = np.zeros(len(run), dtype=np.bool_)
+    start = 0
+    for row in range(1, len(run) + 1):
+        if row == len(run) or not same[row]:
+            if row - start - 1 >= least:
+                out[start + 1 : row] = True
+            start = row
+    return out
+
+
+def _longest_gap(measured: Array) -> int:
+    longest = run = 0
+    for known in measured:
+        run = 0 if known else run + 1
+        longest = max(longest, run)
+    return longest
+
+
+def _times(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count != 1 else ''}"
