@@ -11,7 +11,7 @@ CLUSTER_VENV := .venv-cluster
 SPEED  ?= lockstep
 SCALE  ?= small
 
-.PHONY: help setup demo deploy test test-slow test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training paper pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training paper pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -28,11 +28,23 @@ demo: setup  ## grow a virtual bean round an obstacle with all services; result 
 deploy: setup  ## bring a signed controller to a rig (CONTROLLER=file RIG=name, HOST=user@host, CONFIG=flora.toml, SHADOW=ticks)
 	@CONTROLLER='$(CONTROLLER)' RIG='$(RIG)' HOST='$(HOST)' CONFIG='$(CONFIG)' SHADOW='$(SHADOW)' deploy/publish-controller.sh $(BIN)
 
+install-rig: setup  ## install this checkout on a rig over ssh, back to what ran before where it is not well (RIG=user@host)
+	@$(BIN)/python deploy/install_rig.py '$(RIG)'
+
+rollback-rig: setup  ## go back to the release that ran before (RIG=user@host)
+	@$(BIN)/python deploy/install_rig.py --rollback '$(RIG)'
+
+wheels: setup  ## is there a wheel of each of the rig's packages for a Raspberry Pi?
+	@$(BIN)/python deploy/rig_wheels.py
+
 test: setup  ## run the tests
 	@$(BIN)/python -m pytest
 
 test-slow: setup  ## the tests that take minutes
 	@$(BIN)/python -m pytest -m slow
+
+test-systemd: setup  ## the rig under a real systemd: a Debian tree is booted; needs root, systemd-container and debootstrap
+	@$(BIN)/python -m pytest -m slow -s tests/systemd
 
 test-cluster: $(CLUSTER_VENV)/.made  ## evolution on several Ray nodes of this machine, one of which is killed
 	@$(CLUSTER_VENV)/bin/python -m pytest tests/lab/test_evolve_cluster.py tests/lab/test_evolve_crew_on_ray.py

@@ -21,7 +21,9 @@ INSTALLED_BIN = "/opt/flora/current/bin"
 ANCHOR = "flora-rig.target"
 SAFE_MODE = "safe-mode-flora.target"
 RIG = sorted(file.name for file in UNITS.glob("flora-*.service"))
-HELPERS = ("on-flora-stopped.service", "on-flora-failed@.service")
+HELPERS = ("on-flora-stopped.service", "on-flora-failed@.service", "on-flora-installed.service")
+JUDGE = "on-flora-installed.service"
+"""Of the helpers the one that does more than say a sentence to systemd."""
 LAB = "lab/flora-lab.service"
 LOOP = {"flora-stem.service", "flora-controller.service"}
 """Closed-loop control: what safe mode is without."""
@@ -71,9 +73,10 @@ def lines_of(file: Path) -> list[tuple[str, str]]:
 
 
 def unit(name: str) -> Unit:
-    """What is in force, all values of each key in order: the unit, then its folder of additions."""
+    """What is in force, all values of each key in order: the unit, then its folders of additions, by name of file."""
     prefix = next((p for p in ("on-flora-", "flora-") if name.startswith(p) and name.endswith(".service")), None)
-    files = [UNITS / name, *(sorted((UNITS / f"{prefix}.service.d").glob("*.conf")) if prefix else [])]
+    added = [*(UNITS / f"{prefix}.service.d").glob("*.conf"), *(UNITS / f"{name}.d").glob("*.conf")]
+    files = [UNITS / name, *sorted(added, key=lambda file: file.name)]
     merged: Unit = {}
     for file in files:
         for key, value in lines_of(file):
@@ -115,6 +118,7 @@ def test_the_anchor_comes_back_alone_when_the_glob_has_stopped_it() -> None:
 
 def test_the_glob_matches_the_services_and_the_anchor_and_nothing_else() -> None:
     names = [file.name for file in UNITS.iterdir() if file.is_file()]
+    assert set(HELPERS) <= set(names)
     assert sorted(name for name in names if name.startswith("flora-")) == sorted([*RIG, ANCHOR])
     assert all("flora" in name for name in names)  # the rest is found by *flora*
 
@@ -164,6 +168,22 @@ def test_safe_mode_is_the_rig_without_its_control_loop() -> None:
     assert set(words(this, "Wants")) == set(RIG) - LOOP
     assert set(words(this, "Conflicts")) == LOOP
     assert one(this, "PartOf") == ANCHOR
+
+
+def test_who_judges_a_new_release_is_not_among_those_that_it_restarts() -> None:
+    this = unit(JUDGE)
+    assert one(this, "ConditionPathExists") == "/opt/flora/trial.json"
+    assert one(this, "ExecStart").startswith("/usr/bin/python3 /opt/flora/current/")  # no environment of a release
+    assert one(this, "WantedBy") == "multi-user.target"  # a power cut in the middle is decided at the next boot
+    assert not {"PartOf", "BindsTo", "Requires"} & set(this)
+
+
+def test_each_helper_ends_by_itself() -> None:
+    assert {name: seconds(one(unit(name), "TimeoutStartSec")) for name in HELPERS} == {
+        "on-flora-stopped.service": 30.0,
+        "on-flora-failed@.service": 30.0,
+        JUDGE: 600.0,
+    }
 
 
 # dark
@@ -220,7 +240,12 @@ def test_what_reads_proc_beyond_processes_may() -> None:
     assert {name for name in [*RIG, LAB] if "ProcSubset" not in unit(name)} == SEES_PROC
 
 
-@pytest.mark.parametrize("name", RIG)
+def test_lamps_may_hang_on_spi() -> None:
+    """Pin D10: rpi_ws281x opens /dev/spidev0.0 itself."""
+    assert "char-spi rw" in unit("flora-led.service")["DeviceAllow"]
+
+
+@pytest.mark.parametrize("name", [*RIG, JUDGE])
 def test_libzmq_may_set_the_scheduling_of_its_threads(name: str) -> None:
     """Refused, it aborts the process: ``Operation not permitted (src/thread.cpp)``."""
     filters = unit(name)["SystemCallFilter"]
