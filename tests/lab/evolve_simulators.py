@@ -15,6 +15,7 @@ from flora_lab.simulator.neural_law import TRAITS, NeuralLaw, weight_shapes
 from flora_lab.simulator.paper import Box, PaperNetwork, PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.sequence import SequenceSimulator
+from flora_lab.simulator.store import Extension
 from flora_lab.simulator.tropism_traits import prior_mean, prior_spread
 
 SHOWN: Final = DataRange(30.0, 10.0)
@@ -23,6 +24,25 @@ SHOWN: Final = DataRange(30.0, 10.0)
 def mechanistic() -> RodSimulator:
     """The typical plant."""
     return RodSimulator(LampsSection(), Prior(prior_mean(), prior_spread()), DriveNoise(), SHOWN)
+
+
+def extended() -> RodSimulator:
+    """The typical plant with what was found to act on it, all terms of the law among it."""
+    found = {
+        "circumnutation": {"period_h": 1.9, "amplitude_cm": 0.7},
+        "phototropic_latency": {"delay_h": 0.37},
+        "adaptation": {"time_constant_h": 1.3, "floor": 0.6},
+        "lamp_asymmetry": {"right_to_left": 0.8},
+        "lamp_ageing": {"loss": 0.3},
+        "diurnal_growth": {"amplitude": 0.4, "peak_h": 5.0},
+        "temperature_growth": {"per_degree": 0.05},
+        "growth_rate": {"factor": 1.1},
+        "gravitropism": {"factor": 0.9},
+        "sag": {"amplitude": 0.5},
+        "draught": {"drive_per_cm_h": 0.01},
+    }
+    forms = {"diurnal_growth": 1}
+    return mechanistic().extended([Extension(name, values, forms.get(name, 0)) for name, values in found.items()])
 
 
 def learned() -> SequenceSimulator:

@@ -8,10 +8,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from flora_lab.evolve.plants import room
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.drives import DriveNoise, Drives, nutation_size
 from flora_lab.simulator.growing import GrowingSimulator, GrowingState
 from flora_lab.simulator.interface import Chance
+from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.rod import jit
 
@@ -46,6 +48,24 @@ def driven(course: DriveCourse, step: int, length_cm: float) -> tuple[float, flo
         return 0.0, 1.0
     size = nutation_size(length_cm, course.nutation_per_cm_h, course.nutation_exponent)
     return course.wander[step] + size * course.turning[step], course.growth[step]
+
+
+@jit
+def levels(is_right: bool) -> tuple[float, float]:
+    """Of the left and right lamp, one of which is full on."""
+    return (0.0, 1.0) if is_right else (1.0, 0.0)
+
+
+@jit
+def copy_stem(length: Array, angle: Array, segments: Array, memory: Array, source: int, target: int) -> None:
+    """See :meth:`flora_lab.evolve.plants.Plants.copy_row`."""
+    length[target], angle[target] = length[source], angle[source]
+    segments[target], memory[target] = segments[source], memory[source]
+
+
+def rooms(stems: Stems, rows: int) -> tuple[Array, Array, Array, Array]:
+    """Length, angle, count and memory with room for so many plants; the single one of ``stems`` stands in the first."""
+    return room(stems.length, rows), room(stems.angle, rows), room(stems.count, rows), room(stems.memory, rows)
 
 
 def first_state(simulator: GrowingSimulator, task: Task, seed: int | None) -> GrowingState:

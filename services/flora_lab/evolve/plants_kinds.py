@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from flora_common.errors import BadInput
-from flora_lab.evolve import plants_neural, plants_paper, plants_tropism
+from flora_lab.evolve import plants_extended, plants_neural, plants_paper, plants_tropism
 from flora_lab.evolve.plants import Plants
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.growing import GrowingSimulator
@@ -14,6 +14,7 @@ from flora_lab.simulator.interface import Simulator
 
 _KINDS: Final[tuple[Callable[[Simulator[Any], Task, int | None, int], Plants | None], ...]] = (
     plants_tropism.plants_of,
+    plants_extended.plants_of,
     plants_neural.plants_of,
     plants_paper.plants_of,
 )

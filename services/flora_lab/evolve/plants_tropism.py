@@ -7,8 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.evolve.plants import jit_methods, room
-from flora_lab.evolve.plants_growing import DriveCourse, drive_course, driven, first_state
+from flora_lab.evolve.plants import jit_methods
+from flora_lab.evolve.plants_growing import (
+    DriveCourse,
+    copy_stem,
+    drive_course,
+    driven,
+    first_state,
+    levels,
+    rooms,
+)
 from flora_lab.evolve.task import Task
 from flora_lab.simulator import tropism
 from flora_lab.simulator.growing import GrowingSimulator
@@ -45,7 +53,7 @@ class TropismPlants(NamedTuple):
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         for u in range(rows):
             length, n = self.length[u], self.segments[u]
-            left, right = (0.0, 1.0) if is_right[u] else (1.0, 0.0)
+            left, right = levels(is_right[u])
             bias, growth = driven(self.course, step, length_of(length, n))
             self.segments[u] = _step(
                 length,
@@ -62,22 +70,13 @@ class TropismPlants(NamedTuple):
             )
 
     def copy_row(self, source: int, target: int) -> None:
-        self.length[target], self.angle[target] = self.length[source], self.angle[source]
-        self.segments[target], self.seen[target] = self.segments[source], self.seen[source]
+        copy_stem(self.length, self.angle, self.segments, self.seen, source, target)
 
 
 def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int) -> TropismPlants | None:
     """See :func:`flora_lab.evolve.plants_kinds.plants_of`; None for a simulator of another law."""
     if not isinstance(simulator, GrowingSimulator) or type(simulator.law) is not tropism.TropismLaw:
         return None
-    state, lamps = first_state(simulator, task, seed), simulator.law.lamps
-    stems = state.stems
-    return TropismPlants(
-        room(stems.length, rows),
-        room(stems.angle, rows),
-        room(stems.count, rows),
-        room(stems.memory, rows),
-        np.exp(state.traits)[0],
-        np.array([lamps.distance_cm, lamps.height_cm]),
-        drive_course(simulator, task, seed),
-    )
+    state = first_state(simulator, task, seed)
+    course = drive_course(simulator, task, seed)
+    return TropismPlants(*rooms(state.stems, rows), np.exp(state.traits)[0], simulator.law.lamps_cm, course)

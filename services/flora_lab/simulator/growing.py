@@ -5,6 +5,7 @@ Individuals are drawn, or recognised from what was seen of them; what happens by
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
@@ -94,7 +95,7 @@ class GrowingSimulator(Simulator[GrowingState]):
         traits = np.repeat(self.prior.mean[None], len(stems.count), axis=0)
         if before is not None:
             light = np.repeat(np.asarray(before, dtype=np.float64)[None], round(LIT_BEFORE_S / STEP_S), axis=0)
-            stems = replace(stems, memory=self._memory_after(stems, traits, light, STEP_S))
+            stems = replace(stems, memory=self._at_start(self._memory_after(stems, traits, light, STEP_S)))
         if chance is None:
             return GrowingState(stems, traits)
         drives = Drives(self.noise, chance.seeds)
@@ -104,17 +105,34 @@ class GrowingSimulator(Simulator[GrowingState]):
         return GrowingState(stems, traits, processes=drives.start(), drives=drives)
 
     def watch(self, history: History) -> GrowingState:
+        return self.known(history, self.recognised(history))
+
+    def recognised(self, history: History) -> Array:
+        """Which individuals the plants of ``history`` are: their traits, shape (batch, traits)."""
         batch = history.points_cm.shape[1]
-        stems = standing(self.law, history.points_cm[-1])
         traits = np.repeat(self.prior.mean[None], batch, axis=0)
+        if len(history.points_cm) > 1:
+            with one_blas_thread():
+                for b in range(batch):
+                    traits[b] = self._recognised(history, b)
+        return traits
+
+    def known(self, history: History, traits: Array) -> GrowingState:
+        """Plants after ``history``, as :meth:`watch`; which individuals they are is known, traits (batch, traits)."""
+        stems = standing(self.law, history.points_cm[-1])
         if len(history.points_cm) == 1:
             return GrowingState(stems, traits)
-        with one_blas_thread():
-            for b in range(batch):
-                traits[b] = self._recognised(history, b)
         first = standing(self.law, history.points_cm[0])
         memory = self._memory_after(first, traits, history.light, history.step_s)
         return GrowingState(replace(stems, memory=memory), traits)
+
+    def _law_during(self, covariates: Mapping[str, Array]) -> Law:
+        """The law, as it is under these covariates from its first step on: name to shape (steps, batch)."""
+        return self.law
+
+    def _at_start(self, memory: Array) -> Array:
+        """What plants remember of the time before a run, shape (batch, ...), when it starts."""
+        return memory
 
     def _memory_after(self, first: Stems, traits: Array, light: Array, step_s: float) -> Array:
         """Plants remember what simulated plants of their kind remember after the same light."""
@@ -125,7 +143,8 @@ class GrowingSimulator(Simulator[GrowingState]):
     def _recognised(self, history: History, b: int) -> Array:
         time_s = np.arange(len(history.points_cm), dtype=np.float64) * history.step_s
         points, light = history.points_cm[:, b], history.light[:, b]
-        seen = Observed(MeasuredRun("", "", "", points, light, time_s, history.step_s, {}), self.law)
+        law = self._law_during({name: values[:, [b]] for name, values in history.covariates.items()})
+        seen = Observed(MeasuredRun("", "", "", points, light, time_s, history.step_s, {}), law)
         seen_as = replace(self.noise, measure_cm=float(np.hypot(self.noise.measure_cm, self.law_error_cm)))
         return fit(seen, self.prior, covariance_of(seen.responses(self.prior.mean), seen_as)).traits
 
@@ -142,7 +161,8 @@ class GrowingSimulator(Simulator[GrowingState]):
         if state.drives is not None and state.processes is not None:
             length_cm = state.stems.length_cm
             processes, bias, growth = state.drives.step(state.processes, state.steps, dt_s / 3600.0, length_cm)
-        stems = advanced(self.law, state.stems, state.traits, levels[None], bias[None], growth[None], dt_s / 3600.0)
+        law = self._law_during({name: values[None] for name, values in (covariates or {}).items()})
+        stems = advanced(law, state.stems, state.traits, levels[None], bias[None], growth[None], dt_s / 3600.0)
         after = replace(state, stems=stems, steps=state.steps + 1, processes=processes)
         return after, stems.points_cm
 

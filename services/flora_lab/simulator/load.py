@@ -14,6 +14,7 @@ KINDS: Final = {
     "paper": "flora_lab.simulator.paper:PaperSimulator",
     "sequence": "flora_lab.simulator.sequence:SequenceSimulator",
     "mechanistic": "flora_lab.simulator.rod_simulator:RodSimulator",
+    "corrected": "flora_lab.simulator.corrected:CorrectedSimulator",
 }
 """``kind`` in ``simulator.toml`` to the class that reads it, with ``from_stored(stored)``. Imported when it is needed:
 a kind's libraries take their time."""

@@ -65,10 +65,17 @@ class Provenance(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Extension(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[extension]]``: a named effect that was added to the simulator, with its parameters."""
+    """``[[extension]]``: a named effect that was added to the simulator, see :mod:`flora_lab.effects`.
+
+    Attributes:
+        effect: its name.
+        parameters: of it; units stand in the names.
+        form: which of the ways in which it may act.
+    """
 
     effect: str
     parameters: dict[str, float] = {}
+    form: int = 0
 
 
 class SimulatorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -101,11 +108,27 @@ class Stored:
         path: of the folder.
         info: ``simulator.toml``.
         weights: name to array, all finite.
+        part: before the names of its weights and scales in errors, where it is part of another simulator.
     """
 
     path: Path
     info: SimulatorFile
     weights: Mapping[str, Array]
+    part: str = ""
+
+    def inner(self, name: str, kind: str, step_s: float) -> Stored:
+        """A simulator within this one: weights that begin with ``name`` and a dot, and the scales of that name.
+
+        Raises:
+            BadInput: no table of scales of that name.
+        """
+        scales = self.info.scales.get(name)
+        if not isinstance(scales, dict):
+            raise BadInput(f"{self.path / INFO_FILE}: scales.{self.part}{name} is missing, or no table")
+        start = f"{name}."
+        weights = {key.removeprefix(start): array for key, array in self.weights.items() if key.startswith(start)}
+        info = msgspec.structs.replace(self.info, kind=kind, step_s=step_s, scales=scales)
+        return Stored(self.path, info, weights, self.part + start)
 
     def weight(self, name: str, shape: tuple[int | None, ...]) -> Array:
         """One array of the shape that its reader expects; None fits any length.
@@ -115,12 +138,12 @@ class Stored:
         """
         found = self.weights.get(name)
         if found is None:
-            raise BadInput(f"{self.path / WEIGHTS_FILE}: holds no `{name}`")
+            raise BadInput(f"{self.path / WEIGHTS_FILE}: holds no `{self.part}{name}`")
         if len(found.shape) != len(shape) or any(
             want is not None and have != want for have, want in zip(found.shape, shape, strict=True)
         ):
             wanted = ", ".join("any" if want is None else str(want) for want in shape)
-            raise BadInput(f"{self.path / WEIGHTS_FILE}: `{name}` is {found.shape}; expected ({wanted})")
+            raise BadInput(f"{self.path / WEIGHTS_FILE}: `{self.part}{name}` is {found.shape}; expected ({wanted})")
         return found
 
     def scale(self, name: str) -> float:
@@ -131,7 +154,7 @@ class Stored:
         """
         value = self.info.scales.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise BadInput(f"{self.path / INFO_FILE}: scales.{name} is {str(value)[:40]}, not a number")
+            raise BadInput(f"{self.path / INFO_FILE}: scales.{self.part}{name} is {str(value)[:40]}, not a number")
         return float(value)
 
 

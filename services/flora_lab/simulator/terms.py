@@ -27,8 +27,17 @@ from flora_common.runs import LampsSection
 from flora_lab.simulator.fast_functions import fast_exp, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import CAPACITY, LONGEST_STEP_H, along, directions, in_lanes, jit, points_lane
-from flora_lab.simulator.tropism import STIFFENING, TropismLaw, driven_step_lane
+from flora_lab.simulator.rod import (
+    CAPACITY,
+    LONGEST_STEP_H,
+    along,
+    directions,
+    in_lanes,
+    jit,
+    points_lane,
+    whole_registers,
+)
+from flora_lab.simulator.tropism import MATURE, MATURE_EDGE_CM, PROPRIO, STIFFENING, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
 
@@ -102,22 +111,42 @@ def _growth_factor(time_h: float, warmth_c: float, t: Array) -> float:
 
 
 @inlined
-def _elastic(length: Array, angle: Array, n: int, softness_cm: float, sag: float, out: Array) -> None:
-    """The elastic bend of each joint under the weight above it, rad; ``out`` is written."""
+def _elastic(
+    length: Array, angle: Array, n: int, softness_cm: float, sag: float, deep: Array, soft: Array, out: Array
+) -> None:
+    """The elastic bend of each joint under the weight above it, rad; ``out`` is written.
+
+    Also written, of each joint: ``deep``, how far below the tip it is, cm, and ``soft``, how soft, 1 at the tip.
+    """
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     directions(length, angle, n, sin, cos, x, y)
+    for j in range(whole_registers(n)):
+        deep[j] = total - arc[j]
+        soft[j] = fast_exp(-deep[j] / softness_cm)
     weight = lean = 0.0
     for i in range(n):
         j = n - 1 - i
         start_x = x[j] - sin[j] * length[j]
         weight += length[j]
         lean += length[j] * (x[j] - 0.5 * sin[j] * length[j])
-        softness = fast_exp(-(total - arc[j]) / softness_cm)
-        bend = sag * reach[j] * softness * (lean - weight * start_x)
+        bend = sag * reach[j] * soft[j] * (lean - weight * start_x)
         out[j] = min(max(bend, -_MOST_SAG), _MOST_SAG)
+
+
+@inlined
+def _taken(n: int, p: Array, elastic: Array, deep: Array, soft: Array, bend_h: float, out: Array) -> None:
+    """What proprioception takes of an elastic bend in a step, as if growth had made it, rad; ``out`` is written.
+
+    Tissue that grows straightens what growth has bent. Elastic bend it cannot grow away: there is always as much of it
+    as there is weight, so that it has to be given back.
+    """
+    for j in range(whole_registers(n)):
+        out[j] = soft[j] / (1.0 + fast_exp((deep[j] - p[MATURE]) / MATURE_EDGE_CM)) * bend_h * p[PROPRIO]
+    for j in range(n):
+        out[j] *= elastic[j]
 
 
 @jit
@@ -153,9 +182,11 @@ def extended_step_lane(
     factor = _growth_factor(time_h, warmth_c, t)
     activity = 1.0 if t[ACTIVITY] == 0.0 else float(factor ** t[ACTIVITY])
     memory[_CLOCK, 0] = time_h + dt_h
-    before = scratch(np.float64, CAPACITY)
+    before, taken = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    deep, soft = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     if t[SAG] != 0.0:
-        _elastic(length, angle, n, p[STIFFENING], t[SAG], before)
+        _elastic(length, angle, n, p[STIFFENING], t[SAG], deep, soft, before)
+        _taken(n, p, before, deep, soft, dt_h * activity, taken)
     segments = driven_step_lane(
         length,
         angle,
@@ -175,10 +206,10 @@ def extended_step_lane(
     # A step in which segments were split has no elastic part: joints before and after it are others.
     if t[SAG] != 0.0 and segments == n:
         now = scratch(np.float64, CAPACITY)
-        _elastic(length, angle, n, p[STIFFENING], t[SAG], now)
+        _elastic(length, angle, n, p[STIFFENING], t[SAG], deep, soft, now)
         turn = 0.0
         for j in range(n):
-            turn += now[j] - before[j]
+            turn += now[j] - before[j] + taken[j]
             angle[j] += turn
     return segments
 

@@ -1,0 +1,91 @@
+"""Plants under the mechanistic law with terms that were found later, for compiled loops."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.evolve.plants import jit_methods
+from flora_lab.evolve.plants_growing import (
+    DriveCourse,
+    copy_stem,
+    drive_course,
+    driven,
+    first_state,
+    levels,
+    rooms,
+)
+from flora_lab.evolve.task import Task
+from flora_lab.simulator import terms
+from flora_lab.simulator.growing import GrowingSimulator
+from flora_lab.simulator.interface import Simulator
+from flora_lab.simulator.rod import LONGEST_STEP_H, length_of, points_lane
+
+Array = npt.NDArray[Any]
+
+_step = terms.extended_step_lane
+_WHOLE_GAIN: Final = 1.0
+_AS_WARM: Final = 0.0
+"""An episode is as warm as the runs that the simulator was learned from."""
+
+
+@jit_methods
+class ExtendedPlants(NamedTuple):
+    """See :class:`flora_lab.evolve.plants.Plants`.
+
+    Attributes:
+        length, angle, segments, memory: stems and memory, see :class:`flora_lab.simulator.law.Stems`; one row per
+            plant.
+        constants: of the individual, see :mod:`flora_lab.simulator.tropism`.
+        terms: see :mod:`flora_lab.simulator.terms`.
+        lamps_cm: distance to either side, height.
+        course: what happens to it.
+    """
+
+    length: Array
+    angle: Array
+    segments: Array
+    memory: Array
+    constants: Array
+    terms: Array
+    lamps_cm: Array
+    course: DriveCourse
+
+    def points(self, row: int, out: Array) -> None:
+        points_lane(self.length[row], self.angle[row], self.segments[row], out)
+
+    def advance(self, rows: int, is_right: Array, step: int) -> None:
+        for u in range(rows):
+            length, n = self.length[u], self.segments[u]
+            left, right = levels(is_right[u])
+            bias, growth = driven(self.course, step, length_of(length, n))
+            self.segments[u] = _step(
+                length,
+                self.angle[u],
+                n,
+                self.memory[u],
+                self.constants,
+                self.terms,
+                self.lamps_cm,
+                left,
+                right,
+                bias,
+                growth,
+                _WHOLE_GAIN,
+                _AS_WARM,
+                LONGEST_STEP_H,
+            )
+
+    def copy_row(self, source: int, target: int) -> None:
+        copy_stem(self.length, self.angle, self.segments, self.memory, source, target)
+
+
+def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int) -> ExtendedPlants | None:
+    """See :func:`flora_lab.evolve.plants_kinds.plants_of`; None for a simulator of another law."""
+    if not isinstance(simulator, GrowingSimulator) or not isinstance(simulator.law, terms.ExtendedLaw):
+        return None
+    state, law = first_state(simulator, task, seed), simulator.law
+    course = drive_course(simulator, task, seed)
+    return ExtendedPlants(*rooms(state.stems, rows), np.exp(state.traits)[0], law.terms, law.lamps_cm, course)
