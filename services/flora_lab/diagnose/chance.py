@@ -118,48 +118,35 @@ def _reach(scene: Scene) -> Array:
     return share[scene.feature][:, None] * share[scene.feature][None, :]
 
 
-def sizes_of(
-    residuals: Sequence[Array],
-    parts: Sequence[Array],
-    errors: Sequence[Array],
-    known: Sequence[Array],
-    start: Array,
-    expected: Array,
-) -> Array:
+def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence[Array], start: Array) -> Array:
     """The sizes under which residuals are most probable.
 
     Args:
         residuals: measured minus what the typical plant does, one per run, shape (m,).
         parts: of the same runs, see :func:`covariances`.
-        errors: directions in which the law itself is wrong by an amount that differs from run to run, shape (m, k).
         known: covariance that is there besides, shape (m, m): that plants differ.
-        start: sizes of parts and errors to begin with, shape (12 + k,).
-        expected: of the errors, shape (k,).
+        start: sizes to begin with, shape (12,).
 
     Returns:
-        Sizes, shape (12 + k,).
+        Sizes, shape (12,).
     """
-    middle = np.log(np.concatenate([sizes_expected(), expected]))
-    doubt = np.array([part.doubt for part in PARTS] + [1.0] * len(expected))
+    middle = np.log(sizes_expected())
+    doubt = np.array([part.doubt for part in PARTS])
     low, high = middle + np.log(_LEAST), middle + np.log(_MOST)
-    low[[part.name == "measure_cm" for part in PARTS] + [False] * len(expected)] = np.log(SMALLEST_MEASURE_CM)
-    count = len(PARTS)
+    low[[part.name == "measure_cm" for part in PARTS]] = np.log(SMALLEST_MEASURE_CM)
 
     def improbability(log_sizes: Array) -> tuple[float, Array]:
         variances = np.exp(2.0 * log_sizes)
         away = (log_sizes - middle) / doubt
         total, slope = 0.5 * float(away @ away), away / doubt
-        for residual, own, wrong, besides in zip(residuals, parts, errors, known, strict=True):
-            whole = np.tensordot(variances[:count], own, axes=1) + besides + (wrong * variances[count:]) @ wrong.T
+        for residual, own, besides in zip(residuals, parts, known, strict=True):
+            whole = np.tensordot(variances, own, axes=1) + besides
             whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
             root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
             inverse = scipy.linalg.cho_solve((root, True), np.eye(len(root)), check_finite=False)
             pull = inverse @ residual
             total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
-            left = inverse - np.outer(pull, pull)
-            by_part = own.reshape(count, -1) @ left.ravel()
-            by_error = np.einsum("mk,mk->k", wrong, left @ wrong)
-            slope = slope + variances * np.concatenate([by_part, by_error])
+            slope = slope + variances * (own.reshape(len(PARTS), -1) @ (inverse - np.outer(pull, pull)).ravel())
         return total, slope
 
     found = scipy.optimize.minimize(

@@ -9,9 +9,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose import rhythm, search
-from flora_lab.diagnose.joint import About, Base, Found, Hypothesis, Joint, about, ready
-from flora_lab.diagnose.rhythm import Swing, Usual
+from flora_lab.diagnose import chance, rhythm, search
+from flora_lab.diagnose.joint import Found, Hypothesis, Joint, ready
+from flora_lab.diagnose.knowledge import Knowledge, spectra_of
+from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
@@ -82,25 +83,25 @@ class Explainer:
 
     Args:
         scenes: the measured runs.
-        base: what is known of plants under the simulator.
-        usual: what reference runs have of swings.
+        known: what the reference tells.
         on_step: told that a cause has been tried.
     """
 
-    def __init__(
-        self, scenes: Sequence[Scene], base: Base, usual: Usual, on_step: Callable[[], None] = lambda: None
-    ) -> None:
+    def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
-        self.base = base
-        self.usual = usual
+        self.known = known
         self._on_step = on_step
-        self._abouts: list[About] = []
+        self._parts: list[Array] = []
 
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it."""
         alone = self._all_alone()
+        self._parts = [
+            chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+            for scene, fit in zip(self.scenes, alone, strict=True)
+        ]
         swing: Swing | None = None
-        joint = self._joint(alone, swing)
+        joint = self._joint(swing)
         null = joint.fit(_side_by_side(alone), 12)
         found = null
         stages: list[Stage] = []
@@ -115,12 +116,12 @@ class Explainer:
                     null = better
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
-            best = stage.tried[0] if stage.tried else None
-            if best is None or best.gain < (CLAIM if len(stages) == 1 else MORE) or len(stages) > MOST_CAUSES:
+            best = stage.tried[0]
+            if best.gain < (CLAIM if len(stages) == 1 else MORE) or len(stages) > MOST_CAUSES:
                 break
             if best.swing is not None:
                 swing = best.swing
-                joint = self._joint(alone, swing)
+                joint = self._joint(swing)
                 null = joint.fit(_side_by_side(alone), 12)
                 found = joint.fit(_started(found), 12)
             elif best.found is not None:
@@ -128,35 +129,44 @@ class Explainer:
         return Explanation(null, found, swing, tuple(stages), joint)
 
     def stage(self, joint: Joint, before: Found, swing: Swing | None) -> Stage:
-        """All causes that are not yet in, on top of those that are."""
+        """All causes that are not yet in, on top of those that are, best first."""
         there = set(before.hypothesis.names())
         tried: list[Tried] = []
-        if swing is None:
-            own = self.swing(joint, before)
-            if rhythm.is_plausible(own):
-                tried.append(Tried(BY_NAME[SWING], own.evidence, None, own))
         effects = [e for e in CATALOGUE if e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
             gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
+            gain -= self.known.errors.price(fit, len(self.scenes))
             tried.append(Tried(effect, float(gain), fit))
-        return Stage(before, tuple(sorted(tried, key=lambda t: -t.gain)))
+        tried.sort(key=lambda t: -t.gain)
+        if swing is None:
+            own = self._swing(before)
+            # A cause that makes fast errors vanish, too, explains what a swing only describes.
+            slow = max((t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0)
+            place = 0 if own.gain > slow else 1
+            if own.gain > 0.0:
+                tried.insert(place, own)
+        return Stage(before, tuple(tried))
 
-    def swing(self, joint: Joint, found: Found) -> Swing:
+    def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
         left, expected = [], []
-        change = found.hypothesis.change(found.coordinates)
         for i, scene in enumerate(self.scenes):
-            rest, simulated = scene.tips(found.traits[i], found.start[i], change)
-            left.append(rhythm.spectrum(rest, scene.step_h))
-            expected.append(self.usual.expected(rhythm.spectrum(simulated, scene.step_h)))
-        return rhythm.best_swing(left, expected)
+            rest, moved = spectra_of(scene, before, i)
+            left.append(rest)
+            expected.append(self.known.swings.expected(moved))
+        swing = rhythm.best_swing(left, expected)
+        usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
+        gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
+        return Tried(BY_NAME[SWING], gain, None, swing)
 
-    def _around(self, alone: Sequence[Found]) -> list[About]:
-        if not self._abouts:
-            self._abouts = [
-                about(scene, fit.traits[0], fit.start[0]) for scene, fit in zip(self.scenes, alone, strict=True)
-            ]
-        return self._abouts
+    def _faster(self, before: Found, after: Found) -> float:
+        """Nats by which fast errors are more probable after a fit than before it."""
+        total = 0.0
+        for i, scene in enumerate(self.scenes):
+            for found, sign in ((before, 1.0), (after, -1.0)):
+                rest, moved = spectra_of(scene, found, i)
+                total += sign * rhythm.improbability(rest, self.known.swings.expected(moved))
+        return total
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
@@ -171,10 +181,11 @@ class Explainer:
 
     def _all_alone(self) -> list[Found]:
         """Each run by itself; one that ended badly once more from where the others did."""
-        base = self.base.of_single_runs()
-        joints = [
-            Joint([ready(scene, base, about(scene, base.mean, np.zeros(2)), together=0)], base) for scene in self.scenes
-        ]
+        base = self.known.base.of_single_runs()
+        joints = []
+        for scene in self.scenes:
+            parts = chance.covariances(scene, scene.answers(base.mean, Change()))
+            joints.append(Joint([ready(scene, base, parts, together=0)], base))
         fits = [joint.fit(joint.null(), 12) for joint in joints]
         usual = min(fit.misfit / scene.size for fit, scene in zip(fits, self.scenes, strict=True))
         out = []
@@ -188,23 +199,13 @@ class Explainer:
             out.append(min(tried, key=lambda one: one.misfit))
         return out
 
-    def _joint(self, alone: Sequence[Found], swing: Swing | None) -> Joint:
-        count = len(self.scenes)
+    def _joint(self, swing: Swing | None) -> Joint:
+        base, count = self.known.base, len(self.scenes)
         runs = [
-            ready(scene, self.base, around, together=count, swing=swing)
-            for scene, around in zip(self.scenes, self._around(alone), strict=True)
+            ready(scene, base, parts, together=count, swing=swing)
+            for scene, parts in zip(self.scenes, self._parts, strict=True)
         ]
-        return Joint(runs, self.base)
-
-
-def usual_of(scenes: Sequence[Scene], fits: Sequence[Found]) -> Usual:
-    """What reference runs have of swings, from their own fits."""
-    left, moved = [], []
-    for scene, fit in zip(scenes, fits, strict=True):
-        rest, simulated = scene.tips(fit.traits[0], fit.start[0], Change())
-        left.append(rhythm.spectrum(rest, scene.step_h))
-        moved.append(rhythm.spectrum(simulated, scene.step_h))
-    return rhythm.usual(left, moved)
+        return Joint(runs, base)
 
 
 def _side_by_side(alone: Sequence[Found]) -> Found:

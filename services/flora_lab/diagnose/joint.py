@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from flora_lab.diagnose import chance, law_errors
+from flora_lab.diagnose import chance
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.effect import Change, Effect, Parameter
@@ -41,8 +41,6 @@ class Base:
         spread: between plants, shape (9, 9).
         doubt: of the mean, shape (9, 9).
         sizes: of what happens by chance, see :mod:`flora_lab.diagnose.chance`.
-        wrong: how much the law's errors differ from run to run, see :mod:`flora_lab.diagnose.law_errors`, shape (k,).
-        wrong_mean: what they have in common, shape (k,).
         first: logarithm of the first stem's length and its lean in rad, shape (2,): mean over plants.
         first_sd: how plants differ in them.
         runs: that this was learned from.
@@ -52,8 +50,6 @@ class Base:
     spread: Array
     doubt: Array
     sizes: Array
-    wrong: Array
-    wrong_mean: Array
     first: Array
     first_sd: Array
     runs: int
@@ -108,13 +104,11 @@ class Ready:
     Attributes:
         scene: the run.
         measured: shape (m + 2,).
-        offset: added to what is simulated: what the law is known to be wrong by, shape (m,).
         inverse_root: of the covariance, shape (m + 2, m + 2).
     """
 
     scene: Scene
     measured: Array
-    offset: Array
     inverse_root: Array
 
     def white(self, values: Array) -> Array:
@@ -122,48 +116,26 @@ class Ready:
         return np.asarray(self.inverse_root @ values)
 
 
-@dataclass(frozen=True, slots=True)
-class About:
-    """What chance and the law's errors would do to a run, per unit of each, about one plant.
-
-    Attributes:
-        parts: see :func:`flora_lab.diagnose.chance.covariances`, shape (12, m, m).
-        wrong: see :func:`flora_lab.diagnose.law_errors.directions`, shape (m, k).
-    """
-
-    parts: Array
-    wrong: Array
-
-
-def about(scene: Scene, traits: Array, start: Array) -> About:
-    """All that is linear about a plant with these traits, shape (9,), and this start, shape (2,)."""
-    parts = chance.covariances(scene, scene.answers(traits, Change()))
-    return About(parts, law_errors.directions(scene, traits, start))
-
-
-def ready(scene: Scene, base: Base, around: About, *, together: int, swing: Swing | None = None) -> Ready:
-    """A run with what chance and the law's errors do to it.
+def ready(scene: Scene, base: Base, parts: Array, *, together: int, swing: Swing | None = None) -> Ready:
+    """A run with what chance does to it.
 
     Args:
         scene: the run.
         base: what is known.
-        around: of about the plant that it is.
-        together: number of runs that will be explained together. What the law is wrong by is known from so few runs
-            that the mean over many others is not known better than these tell.
+        parts: of about the plant that it is, see :func:`flora_lab.diagnose.chance.covariances`.
+        together: number of runs that will be explained together: what is known of first stems from so few runs is not
+            known better in the mean over many others.
         swing: of the tip, that is there besides.
     """
-    more = 1.0 + together / max(base.runs, 1)
-    wrong = around.wrong
-    covariance = np.tensordot(base.sizes**2, around.parts, axes=1) + (wrong * (more * base.wrong**2)) @ wrong.T
+    covariance = np.tensordot(base.sizes**2, parts, axes=1)
     if swing is not None:
         covariance += chance.of_swing(scene, swing)
     m = scene.size
     root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
     inverse_root = np.zeros((m + 2, m + 2))
     inverse_root[:m, :m] = scipy.linalg.solve_triangular(root, np.eye(m), lower=True, check_finite=False)
-    inverse_root[[m, m + 1], [m, m + 1]] = 1.0 / (base.first_sd * np.sqrt(more))
-    measured = np.concatenate([scene.features, scene.first - base.first])
-    return Ready(scene, measured, wrong @ base.wrong_mean, inverse_root)
+    inverse_root[[m, m + 1], [m, m + 1]] = 1.0 / (base.first_sd * np.sqrt(1.0 + together / max(base.runs, 1)))
+    return Ready(scene, np.concatenate([scene.features, scene.first - base.first]), inverse_root)
 
 
 @dataclass(slots=True)
@@ -251,6 +223,30 @@ class Joint:
             cause: which.
             start: coordinates of its parameters.
         """
+        at, normal, downhill = self._about(before, cause, start)
+        if not np.isfinite(at.misfit):
+            return at
+        step = np.linalg.solve(normal, downhill)
+        misfit = at.misfit - 0.5 * float(downhill @ step)
+        ratio = np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self._precision(at.hypothesis))[1]
+        moved = self._moved(at, step)
+        q = len(at.coordinates)
+        moved.covariance = np.linalg.inv(normal)[len(normal) - q :, len(normal) - q :]
+        moved.evidence = float(-misfit - 0.5 * ratio)
+        return moved
+
+    def estimated(self, before: Found, cause: Cause, start: Array) -> tuple[Array, Array]:
+        """Coordinates of a cause's parameters (q,), and their variances, if all were linear about a start.
+
+        Unlike :meth:`screened`, nothing keeps them within what is plausible.
+        """
+        at, normal, downhill = self._about(before, cause, start)
+        covariance = np.linalg.inv(normal)
+        own = np.arange(len(normal) - len(start), len(normal))
+        return at.coordinates[-len(start) :] + (covariance @ downhill)[own], np.diag(covariance)[own]
+
+    def _about(self, before: Found, cause: Cause, start: Array) -> tuple[Found, Array, Array]:
+        """One cause more at a start, and the normal equations there."""
         hypothesis = Hypothesis((*before.hypothesis.causes, cause))
         at = Found(hypothesis, np.concatenate([before.coordinates, start]), before.traits, before.start)
         away = self._away(at)
@@ -261,15 +257,7 @@ class Joint:
             at.residuals.append(residual)
             at.jacobians.append(np.concatenate([before.jacobians[run], own.white(slopes)], axis=1))
             at.misfit += 0.5 * float(residual @ residual)
-        if not np.isfinite(at.misfit):
-            return at
-        normal, downhill = self._normal(at)
-        step = np.linalg.solve(normal, downhill)
-        misfit = at.misfit - 0.5 * float(downhill @ step)
-        ratio = np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self._precision(hypothesis))[1]
-        moved = self._moved(at, step)
-        moved.evidence = float(-misfit - 0.5 * ratio)
-        return moved
+        return at, *self._normal(at)
 
     def _slopes_of_last(self, found: Found, run: int, count: int) -> tuple[Array, Array]:
         """Features of a run (m + 2,), and their derivatives (m + 2, count) in the last so many parameters."""
@@ -292,7 +280,7 @@ class Joint:
         starts = np.broadcast_to(start, (len(changes), len(START_SD)))
         told = self.runs[run].scene.simulated(Lanes(traits + shifts, starts, changes))
         first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
-        return np.concatenate([told + self.runs[run].offset, first], axis=1)
+        return np.concatenate([told, first], axis=1)
 
     def null(self) -> Found:
         """A start without any cause, all plants typical."""

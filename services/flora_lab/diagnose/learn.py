@@ -10,15 +10,16 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from flora_lab.diagnose import chance, law_errors
-from flora_lab.diagnose.joint import START_SD, TRAITS, About, Base, Found, Joint, Ready, about, ready
+from flora_lab.diagnose import chance
+from flora_lab.diagnose.joint import START_SD, TRAITS, Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.scene import Scene
+from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
 
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
-SPREAD_STRENGTH: Final = 9.0
+SPREAD_STRENGTH: Final = 4.0
 """What the sources say of how plants differ counts as much as this many plants."""
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
@@ -44,13 +45,11 @@ class _Linear:
         residual: measured minus what the typical plant does, shape (m,).
         slopes: of the features by the plant's own unknowns, shape (m, 11).
         parts: covariances of what happens by chance, per unit, shape (12, m, m).
-        wrong: directions of the law's errors, shape (m, k).
     """
 
     residual: Array
     slopes: Array
     parts: Array
-    wrong: Array
 
     def of_plants(self, spread: Array) -> Array:
         """Covariance because plants differ, and because the first stem is not known exactly, shape (m, m)."""
@@ -76,24 +75,25 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _:
         prior_spread(),
         known_doubt,
         chance.sizes_expected() * 1.5,
-        law_errors.expected_sizes(),
-        np.zeros(len(law_errors.names())),
         first,
         first_sd,
         count,
     )
     fits: list[Found] = []
-    around = [about(scene, base.mean, np.zeros(2)) for scene in scenes]
+    parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
     for number in range(1, ROUNDS + 1):
         alone = base.of_single_runs()
-        runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, around, strict=True)]
+        runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, parts, strict=True)]
         starts = fits or [Joint([one], alone).null() for one in runs]
         iterations = 12 if number == 1 else 5
         fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
         fits = _from_the_middle(runs, alone, fits)
         base = _population(_near(fits) if number < ROUNDS else fits, known_doubt, base)
-        around = [about(scene, fit.traits[0], fit.start[0]) for scene, fit in zip(scenes, fits, strict=True)]
-        linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, around, strict=True)]
+        parts = [
+            chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+            for scene, fit in zip(scenes, fits, strict=True)
+        ]
+        linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
         base = _with_chance(linear, base)
         on_round(number)
     return base, fits
@@ -144,35 +144,20 @@ def _population(fits: Sequence[Found], known_doubt: Array, base: Base) -> Base:
     return replace(base, mean=mean, spread=spread, doubt=doubt)
 
 
-def _about_typical(base: Base, run: Ready, fit: Found, around: About) -> _Linear:
+def _about_typical(base: Base, run: Ready, fit: Found, parts: Array) -> _Linear:
     """A run, from its own fit carried on to the typical plant: linear, because that plant may stand elsewhere."""
     scene = run.scene
-    told, slopes = Joint([replace(run, offset=np.zeros(scene.size))], base.of_single_runs()).features_of(fit, 0)
+    told, slopes = Joint([run], base.of_single_runs()).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
     away = np.concatenate([fit.traits[0] - base.mean, fit.start[0]])
-    return _Linear(scene.features - told + slopes @ away, slopes, around.parts, around.wrong)
+    return _Linear(scene.features - told + slopes @ away, slopes, parts)
 
 
 def _with_chance(runs: Sequence[_Linear], base: Base) -> Base:
-    """Sizes of what happens by chance and of the law's errors, and what these have in common."""
+    """Sizes of what happens by chance."""
     known = [run.of_plants(base.spread) for run in runs]
-    sizes = chance.sizes_of(
-        [run.residual - run.wrong @ base.wrong_mean for run in runs],
-        [run.parts for run in runs],
-        [run.wrong for run in runs],
-        known,
-        np.concatenate([base.sizes, base.wrong]),
-        law_errors.expected_sizes(),
-    )
-    own, wrong = sizes[: len(chance.PARTS)], sizes[len(chance.PARTS) :]
-    # The mean of the errors over runs: as large as they are wide, more or less, before any data.
-    precision, pull = np.diag(1.0 / (2.0 * wrong**2 + law_errors.expected_sizes() ** 2)), np.zeros(len(wrong))
-    for run, besides in zip(runs, known, strict=True):
-        whole = np.tensordot(own**2, run.parts, axes=1) + besides + (run.wrong * wrong**2) @ run.wrong.T
-        solved = scipy.linalg.cho_solve(scipy.linalg.cho_factor(whole, lower=True), run.wrong)
-        precision = precision + run.wrong.T @ solved
-        pull = pull + solved.T @ run.residual
-    return replace(base, sizes=own, wrong=wrong, wrong_mean=np.linalg.solve(precision, pull))
+    sizes = chance.sizes_of([run.residual for run in runs], [run.parts for run in runs], known, base.sizes)
+    return replace(base, sizes=sizes)
 
 
 def _firsts(scenes: Sequence[Scene]) -> tuple[Array, Array]:

@@ -86,7 +86,7 @@ def spectrum(residual_cm: Array, step_h: float) -> Spectrum:
 
 
 @dataclass(frozen=True, slots=True)
-class Usual:
+class Swings:
     """What reference runs have in the band.
 
     Attributes:
@@ -108,7 +108,7 @@ class Usual:
 _FOLLOWS: Final = (0.0, *np.geomspace(1e-4, 0.3, 22).tolist())
 
 
-def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Usual:
+def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Swings:
     """What is usual, from what is left of reference runs and what their simulated tips do."""
     power = np.concatenate([s.power for s in left])
     moved = np.concatenate([s.power for s in simulated])
@@ -117,20 +117,25 @@ def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Usual:
     away = np.log(at[:, None] / grid[None, :]) / _SMOOTH_SHARE
     weight = np.exp(-0.5 * away**2)
     weight /= weight.sum(axis=0)
-    best: Usual | None = None
+    best: Swings | None = None
     most = -np.inf
     for share in _FOLLOWS:
         rest = np.maximum(power - share * moved, _FLOOR_SHARE * power)
         smooth = np.maximum(rest @ weight, _FLOOR_SHARE * float(np.median(power)) + 1e-12)
-        tried = Usual(grid, smooth, float(share))
+        tried = Swings(grid, smooth, float(share))
         total = 0.0
         for own, sim in zip(left, simulated, strict=True):
             expected = tried.expected(sim)
-            total -= float((np.log(expected) + own.power / expected).sum())
+            total -= improbability(own, expected)
         if total > most:
             best, most = tried, total
     assert best is not None
     return best
+
+
+def improbability(own: Spectrum, expected: Array) -> float:
+    """Whittle's: minus the logarithm of how probable a spectrum is, up to a constant."""
+    return float((np.log(expected) + own.power / expected).sum())
 
 
 def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swing:

@@ -35,7 +35,7 @@ def best_of_each(
     Returns:
         Effect and fit, in no order; those that came to little where all was taken for linear are only that far.
     """
-    looks = {effect.name: [_best_start(joint, before, cause) for cause in forms_of(effect)] for effect in effects}
+    looks = {effect.name: [best_start(joint, before, cause) for cause in forms_of(effect)] for effect in effects}
     gains = {name: max(found.evidence for found in forms) - before.evidence for name, forms in looks.items()}
     ranked = sorted(effects, key=lambda effect: -gains[effect.name])
     out = []
@@ -48,7 +48,8 @@ def best_of_each(
     return out
 
 
-def _best_start(joint: Joint, before: Found, cause: Cause) -> Found:
+def best_start(joint: Joint, before: Found, cause: Cause) -> Found:
+    """Where the best of a cause's starts leads, where all is taken for linear."""
     looks = [joint.screened(before, cause, start) for start in _starts(cause.parameters)]
     return max(looks, key=lambda found: found.evidence)
 

@@ -1,0 +1,107 @@
+"""Which runs a diagnosis is about, and which it learns from, read and looked over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.errors import BadInput
+from flora_common.runs import LampsSection
+from flora_lab.diagnose import record
+from flora_lab.diagnose.scene import TEMPERATURE, Scene
+from flora_lab.run_tracks import RunTrack, load_run, load_runs
+from flora_lab.simulator.measured import STEP_S, MeasuredRun, in_steps
+from flora_lab.simulator.terms import ExtendedLaw
+
+Array = npt.NDArray[Any]
+
+SHORTEST_H: Final = 6.0
+FEWEST_REFERENCES: Final = 3
+_SLOWER: Final = 1.2
+"""Rows that are told more seldom than every so many steps of five minutes make longer steps."""
+_MINUTE_S: Final = 60.0
+_LONGEST_STEP_S: Final = 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """Some runs in equal steps.
+
+    Attributes:
+        tracks: as they were read.
+        measured: cleaned, in equal steps.
+        notes: what was found in the records.
+    """
+
+    tracks: tuple[RunTrack, ...]
+    measured: tuple[MeasuredRun, ...]
+    notes: tuple[str, ...]
+
+    def scenes(self, usual_c: float | None) -> list[Scene]:
+        """Ready to be compared with plants that are used to this temperature."""
+        return [Scene(run, ExtendedLaw(run.lamps or LampsSection()), usual_c) for run in self.measured]
+
+    def usual_temperature_c(self) -> float | None:
+        """Mean temperature, where all runs tell it."""
+        told = [run.covariates.get(TEMPERATURE) for run in self.measured]
+        known = [values for values in told if values is not None and np.isfinite(values).any()]
+        return float(np.nanmean(np.concatenate(known))) if known and len(known) == len(told) else None
+
+
+def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: None) -> Runs:
+    """Runs, cleaned and in equal steps.
+
+    Raises:
+        BadInput: see :func:`flora_lab.run_tracks.load_runs`; or a run that is too short to tell anything.
+    """
+    tracks = load_runs(paths)
+    if all(track.lamps is None for track in tracks) and tracks:
+        lamps = LampsSection()
+        note(
+            f"no run.toml tells where the lamps hang: taken to be {lamps.distance_cm:g} cm to either side, "
+            f"{lamps.height_cm:g} cm high"
+        )
+    measured, notes = [], []
+    for track in tracks:
+        run, found = record.cleaned(in_steps(track, _step_s(track)))
+        if run.hours < SHORTEST_H:
+            raise BadInput(f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed")
+        measured.append(run)
+        notes += found
+    return Runs(tuple(tracks), tuple(measured), tuple(notes))
+
+
+def read_reference(folder: Path, measured: Runs) -> Runs:
+    """All runs and tracks in a folder, to learn from.
+
+    Raises:
+        BadInput: too few, or one that is also to be diagnosed: it would be explained by itself.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: is no folder; --reference takes a folder of runs or tracks to learn from")
+    inner = sorted(p for p in folder.iterdir() if (p / "track.csv").is_file() or p.suffix == ".csv")
+    if len(inner) < FEWEST_REFERENCES:
+        raise BadInput(
+            f"{folder}: holds {len(inner)} runs with a track; at least {FEWEST_REFERENCES} are needed to tell how "
+            "plants differ"
+        )
+    own = {track.sha256: track for track in measured.tracks}
+    for path in inner:
+        twin = own.get(load_run(path).sha256)
+        if twin is not None:
+            raise BadInput(f"{path}: is also to be diagnosed ({twin.file}); a run cannot be its own reference")
+    return read_runs(inner)
+
+
+def _step_s(track: RunTrack) -> float:
+    """Five minutes, or what lies between rows where that is longer."""
+    times = track.track.time_s
+    between_s = float(np.median(np.diff(times))) if len(times) > 1 else STEP_S
+    if between_s <= _SLOWER * STEP_S:
+        return STEP_S
+    return min(_LONGEST_STEP_S, _MINUTE_S * round(between_s / _MINUTE_S))

@@ -1,0 +1,92 @@
+"""All that reference runs tell: of plants, of chance, of swings, and of what the law is wrong in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose import chance, learn, rhythm, usual_errors
+from flora_lab.diagnose.joint import Base, Found, Joint, ready
+from flora_lab.diagnose.rhythm import Spectrum, Swings
+from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.effects.effect import Change
+
+Array = npt.NDArray[Any]
+
+_STEPS: Final = 8
+_PARTS: Final = 6
+ROUNDS: Final = learn.ROUNDS + 1
+"""How often :func:`learn_from` tells that it has come farther."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What a search for causes starts from.
+
+    Attributes:
+        base: of plants, and of what happens by chance.
+        swings: what tips do anyway.
+        errors: how much of every effect healthy runs seem to show.
+        left: what each reference run leaves by itself, see :func:`blocks`, shape (runs, 2).
+        swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
+    """
+
+    base: Base
+    swings: Swings
+    errors: UsualErrors
+    left: Array
+    swing_evidence: Array
+
+
+def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
+    """Learn from runs in which nothing is taken to be wrong."""
+    base, fits = learn.learned(scenes, on_round)
+    alone = base.of_single_runs()
+    joints, ends = [], []
+    for scene, fit in zip(scenes, fits, strict=True):
+        parts = chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+        joint = Joint([ready(scene, alone, parts, together=0)], alone)
+        joints.append(joint)
+        ends.append(joint.fit(Found(fit.hypothesis, fit.coordinates, fit.traits, fit.start), _STEPS))
+    has_temperature = any(scene.has_temperature for scene in scenes)
+    errors = usual_errors.usual_errors(joints, ends, has_temperature)
+    spectra = [spectra_of(scene, end, 0) for scene, end in zip(scenes, ends, strict=True)]
+    swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
+    left = np.stack([blocks(end.residuals[0]) for end in ends])
+    on_round(ROUNDS)
+    return Knowledge(base, swings, errors, left, _swing_evidence(spectra))
+
+
+def blocks(residual: Array) -> Array:
+    """Mean square of what is left of a run, in units of chance, and that of its worst part, shape (2,).
+
+    Args:
+        residual: whitened in order of time, shape (m,); one part is a sixth of it, and parts overlap by half.
+    """
+    squares = residual**2
+    size = max(1, len(squares) // _PARTS)
+    sums = np.concatenate([[0.0], np.cumsum(squares)])
+    starts = np.arange(0, len(squares) - size + 1, max(1, size // 2))
+    return np.array([squares.mean(), ((sums[starts + size] - sums[starts]) / size).max()])
+
+
+def spectra_of(scene: Scene, found: Found, run: int) -> tuple[Spectrum, Spectrum]:
+    """Of what a fit leaves of a run's tip, and of what it makes the tip do."""
+    change = found.hypothesis.change(found.coordinates)
+    rest, simulated = scene.tips(found.traits[run], found.start[run], change)
+    return rhythm.spectrum(rest, scene.step_h), rhythm.spectrum(simulated, scene.step_h)
+
+
+def _swing_evidence(spectra: Sequence[tuple[Spectrum, Spectrum]]) -> Array:
+    """For a swing in each run, if what is usual were told by all the others."""
+    found = []
+    for i, (rest, moved) in enumerate(spectra):
+        others = [pair for j, pair in enumerate(spectra) if j != i]
+        swings = rhythm.usual([a for a, _ in others], [b for _, b in others])
+        found.append(rhythm.best_swing([rest], [swings.expected(moved)]).evidence)
+    return np.array(found)

@@ -1,0 +1,157 @@
+"""A base on the disk: a mechanistic simulator that also holds what a diagnosis knows of its plants and its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.errors import BadInput
+from flora_common.runs import LampsSection
+from flora_lab.diagnose import chance, usual_errors
+from flora_lab.diagnose.joint import TRAITS, Base
+from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.rhythm import Swings
+from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.simulator.drives import DriveNoise
+from flora_lab.simulator.growing import DataRange
+from flora_lab.simulator.individual import Prior
+from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.store import Extension, Provenance, Stored, write_simulator
+
+Array = npt.NDArray[Any]
+
+_PREFIX: Final = "diagnose."
+_SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
+    "spread": (TRAITS, TRAITS),
+    "doubt": (TRAITS, TRAITS),
+    "sizes": (len(chance.PARTS),),
+    "first": (2,),
+    "first_sd": (2,),
+    "swing_per_hour": (None,),
+    "swing_power": (None,),
+    "error_mean": (None,),
+    "error_sd": (None,),
+    "left": (None, 2),
+    "swing_evidence": (None,),
+}
+
+
+def simulator_of(base: Base, lamps: LampsSection, shown: DataRange, usual_c: float | None) -> RodSimulator:
+    """The base as a simulator whose plants differ, and to which things happen by chance."""
+    prior = Prior(base.mean, base.spread + base.doubt)
+    return RodSimulator(lamps, prior, noise_of(base.sizes), shown, usual_temperature_c=usual_c)
+
+
+def noise_of(sizes: Array) -> DriveNoise:
+    """What happens by chance, as a simulator's drives know it: parts of one drive become one with a time between."""
+    by_drive: dict[str, list[tuple[float, float]]] = {}
+    named = chance.as_dict(sizes)
+    for part in chance.PARTS:
+        if part.period_h == 0.0 and part.memory_h < 1e5:
+            by_drive.setdefault(part.drive, []).append((named[part.name], part.memory_h))
+
+    def together(drive: str) -> tuple[float, float]:
+        sds = np.array([sd for sd, _ in by_drive[drive]])
+        times_h = np.array([max(time_h, 0.1) for _, time_h in by_drive[drive]])
+        return float(np.sqrt(sds @ sds)), float(np.exp(np.average(np.log(times_h), weights=sds**2)))
+
+    wander, wander_h = together("bias")
+    growth, growth_h = together("growth")
+    measure, _ = together("measure")
+    return DriveNoise(
+        measure_cm=measure,
+        wander_per_cm_h=wander,
+        wander_h=wander_h,
+        nutation_per_cm_h=named["nutation_per_cm_h"],
+        growth_share=growth,
+        growth_h=growth_h,
+        rhythm_share=named["growth_rhythm_share"],
+    )
+
+
+def write_known(
+    path: Path,
+    simulator: RodSimulator,
+    known: Knowledge,
+    provenance: Provenance,
+    extensions: Sequence[Extension] = (),
+    *,
+    force: bool = False,
+) -> None:
+    """Write the folder, whole or not at all; with extensions it is the extended simulator.
+
+    Raises:
+        BadInput: something is there already.
+    """
+    base = known.base
+    arrays = {
+        "spread": base.spread,
+        "doubt": base.doubt,
+        "sizes": base.sizes,
+        "first": base.first,
+        "first_sd": base.first_sd,
+        "swing_per_hour": known.swings.per_hour,
+        "swing_power": known.swings.power,
+        "error_mean": known.errors.mean,
+        "error_sd": known.errors.sd,
+        "left": known.left,
+        "swing_evidence": known.swing_evidence,
+    }
+    write_simulator(
+        path,
+        kind=simulator.kind,
+        step_s=simulator.step_s,
+        weights=simulator.weights() | {_PREFIX + name: np.asarray(a, dtype=np.float64) for name, a in arrays.items()},
+        scales=simulator.scales()
+        | {"diagnose": {"runs": base.runs, "swing_follows": known.swings.follows, "causes": _causes()}},
+        provenance=provenance,
+        extensions=(*simulator.extensions, *extensions),
+        force=force,
+    )
+
+
+def _causes() -> list[str]:
+    """Whose usual errors are stored."""
+    return [f"{name} {form}" for name, form in usual_errors.causes()]
+
+
+def is_known(stored: Stored) -> bool:
+    """Whether a stored simulator holds what a diagnosis needs."""
+    return "diagnose" in stored.info.scales
+
+
+def read_known(stored: Stored) -> Knowledge:
+    """What :func:`write_known` wrote; its plants have the effects that the simulator was extended with.
+
+    Raises:
+        BadInput: a part is missing or cannot be.
+    """
+    where = str(stored.path)
+    values = {name: stored.weight(_PREFIX + name, shape).astype(np.float64) for name, shape in _SHAPES.items()}
+    told = stored.info.scales["diagnose"]
+    if not isinstance(told, dict) or told.get("causes") != _causes():
+        raise BadInput(f"{where}: was made by a version that knows other effects; learn it anew with --reference")
+    runs, follows = told.get("runs"), told.get("swing_follows")
+    if not isinstance(runs, int) or not isinstance(follows, int | float) or runs < 1 or not 0.0 <= follows <= 1.0:
+        raise BadInput(f"{where}: scales.diagnose must name `runs` and `swing_follows`")
+    mean = stored.weight("trait_mean", (TRAITS,)).astype(np.float64)
+    base = Base(
+        mean,
+        values["spread"],
+        values["doubt"],
+        values["sizes"],
+        values["first"],
+        values["first_sd"],
+        runs,
+    )
+    return Knowledge(
+        base,
+        Swings(values["swing_per_hour"], values["swing_power"], float(follows)),
+        UsualErrors(values["error_mean"], values["error_sd"], runs),
+        values["left"],
+        values["swing_evidence"],
+    )

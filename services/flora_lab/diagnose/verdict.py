@@ -1,0 +1,189 @@
+"""From evidence to words: how sure each cause is, what cannot be told from it, and whether anything is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.special
+import scipy.stats
+
+from flora_lab.diagnose.diagnosis import NamedCause, Verdict
+from flora_lab.diagnose.explain import CLAIM, SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.knowledge import Knowledge, blocks
+from flora_lab.effects.effect import Effect, Parameter
+
+Array = npt.NDArray[Any]
+
+TEMPERATURE: Final = 2.5
+"""Nats are divided by it: models are never as right as their likelihoods take them to be. Chosen on drawn runs of the
+seeds 1000 to 5999 (``tests/discovery``)."""
+ALIKE: Final = 4.0
+"""Nats within which a cause is not told from a better one."""
+INSEPARABLE: Final = 12.0
+"""The same for causes that light and track can never tell apart: what is between them is the shape of a prior."""
+NOTHING_FIRST: Final = 20.0
+"""How many times more probable no cause is than any certain one, before any data."""
+WIDER: Final = 1.3
+"""Intervals are wider than Laplace's by this, and by :data:`LAW_SHARE` of the effect: the law is not the plant."""
+LAW_SHARE: Final = 0.04
+_90: Final = 1.645
+_LEFT_P: Final = 0.003
+_UNSURE: Final = 0.5
+"""Confidence that a cause keeps at most where much is left unexplained."""
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What is left unexplained.
+
+    Attributes:
+        share: mean square of what is left over that of reference runs by themselves.
+        p_value: how often reference runs would leave as much.
+    """
+
+    share: float
+    p_value: float
+
+    @property
+    def is_much(self) -> bool:
+        """Whether something else must be at work."""
+        return self.p_value < _LEFT_P
+
+
+def left_of(explanation: Explanation, known: Knowledge) -> Left:
+    """How much the best explanation leaves, beside what each reference run leaves by itself.
+
+    Runs, not rows, are counted. The worst part of a run, half a day long, counts as well as the whole: what happens for
+    some hours only is lost in a mean over three days.
+    """
+    own = np.stack([blocks(residual) for residual in explanation.found.residuals])
+    p_values, shares = [], []
+    for column in range(own.shape[1]):
+        mine, usual = np.log(own[:, column]), np.log(known.left[:, column])
+        sd = np.sqrt(np.var(usual, ddof=1) + _LEAST_SD**2)
+        t = (mine.mean() - usual.mean()) / (sd * np.sqrt(1.0 / len(mine) + 1.0 / len(usual)))
+        p_values.append(float(scipy.stats.t.sf(t, len(usual) - 1)))
+        shares.append(float(np.exp(mine.mean() - usual.mean())))
+    return Left(shares[0], min(1.0, min(p_values) * len(p_values)))
+
+
+_LEAST_SD: Final = 0.10
+
+
+def verdict_of(causes: Sequence[NamedCause], left: Left) -> Verdict:
+    """In a word."""
+    if left.is_much:
+        return "unexplained"
+    return "explained" if causes else "nothing_wrong"
+
+
+def named(explanation: Explanation, left: Left) -> list[NamedCause]:
+    """The causes, surest first."""
+    found = explanation.found
+    out: list[NamedCause] = []
+    values, at = found.values(), 0
+    chosen = iter(zip(found.hypothesis.causes, values, strict=True))
+    for stage in explanation.stages:
+        best = stage.tried[0]
+        if best.gain < CLAIM or len(out) == len(found.hypothesis.causes) + (explanation.swing is not None):
+            break
+        alike = _alike(stage)
+        sure = _confidence(stage, alike)
+        if left.is_much:
+            sure = min(sure, _UNSURE)
+        if best.effect.name == SWING:
+            swing = best.swing if explanation.swing is None else explanation.swing
+            assert swing is not None
+            parameters = {"period_h": swing.period_h, "amplitude_cm": swing.amplitude_cm}
+            interval = {
+                "period_h": _widened(swing.period_interval_h, swing.period_h, 0.02),
+                "amplitude_cm": _widened(swing.amplitude_interval_cm, swing.amplitude_cm, 0.1),
+            }
+            form = 0
+        else:
+            cause, parameters = next(chosen)
+            q = len(cause.parameters)
+            interval = _intervals(
+                cause.parameters, found.coordinates[at : at + q], found.covariance[at : at + q, at : at + q]
+            )
+            parameters = {p.name: _told(p, parameters[p.name]) for p in cause.parameters}
+            at, form = at + q, cause.form
+        out.append(
+            NamedCause(
+                effect=best.effect.name,
+                parameters=parameters,
+                interval=interval,
+                confidence=round(sure, 3),
+                p_value=_p_value(stage),
+                confusable_with=[t.effect.name for t in alike],
+                evidence=_sentence(best.effect, parameters, best.gain, alike),
+                nats=round(best.gain, 1),
+                form=form,
+            )
+        )
+    return sorted(out, key=lambda cause: -cause.confidence)
+
+
+def _alike(stage: Stage) -> list[Tried]:
+    """What these runs cannot tell from the best."""
+    best = stage.tried[0]
+    out = []
+    for other in stage.tried[1:]:
+        behind = best.gain - other.gain
+        same = other.effect.name in best.effect.same_as or best.effect.name in other.effect.same_as
+        if (behind < ALIKE and other.gain > 0.0) or (same and behind < INSEPARABLE):
+            out.append(other)
+    return out
+
+
+def _confidence(stage: Stage, alike: Sequence[Tried]) -> float:
+    """Probability of the best cause, or of one that cannot be told from it."""
+    gains = np.array([tried.gain for tried in stage.tried])
+    logs = np.append(gains / TEMPERATURE, np.log(NOTHING_FIRST))
+    weights = scipy.special.softmax(logs)
+    names = {stage.tried[0].effect.name, *(t.effect.name for t in alike)}
+    return float(sum(w for w, t in zip(weights, stage.tried, strict=False) if t.effect.name in names))
+
+
+def _p_value(stage: Stage) -> float:
+    """How often runs without a cause would show this evidence for any of so many, at most (Markov's inequality)."""
+    return float(min(1.0, len(stage.tried) * np.exp(-stage.tried[0].gain)))
+
+
+def _told(p: Parameter, value: float) -> float:
+    return value % 24.0 if p.scale == "day" else value
+
+
+def _intervals(
+    parameters: Sequence[Parameter], coordinates: Array, covariance: Array
+) -> dict[str, tuple[float, float]]:
+    out = {}
+    for i, p in enumerate(parameters):
+        away = abs(float(coordinates[i]) - p.centre) if p.none is not None else 0.0
+        half = _90 * float(np.hypot(WIDER * np.sqrt(max(covariance[i, i], 0.0)), LAW_SHARE * away))
+        low, high = p.value(float(coordinates[i]) - half), p.value(float(coordinates[i]) + half)
+        out[p.name] = (low, high)
+    return out
+
+
+def _widened(interval: tuple[float, float], value: float, share: float) -> tuple[float, float]:
+    low, high = value - interval[0], interval[1] - value
+    return value - float(np.hypot(WIDER * low, share * value)), value + float(np.hypot(WIDER * high, share * value))
+
+
+def _sentence(effect: Effect, values: dict[str, float], nats: float, alike: Sequence[Tried]) -> str:
+    text = effect.sentence(values)
+    text = text[0].upper() + text[1:]
+    times = f"e^{nats:.0f}" if nats > 20.0 else f"{np.exp(nats):,.0f}".replace(",", " ")
+    told = f"{text}: with it the runs are {times} times as probable as without."
+    if alike:
+        told += f" These runs do not tell it from {_listed([t.effect.title.lower() for t in alike])}."
+    return told
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
