@@ -10,6 +10,7 @@ import typer
 
 from flora_common.cli import print_version, run_typer
 from flora_lab.dataset import command as dataset
+from flora_lab.diagnose import command as diagnose
 from flora_lab.evaluate import command as evaluate
 from flora_lab.evolve import command as evolve
 from flora_lab.paper import command as paper
@@ -21,7 +22,7 @@ from flora_lab.track import command as track
 from flora_lab.train import command as train
 
 PROGRAM: Final = "flora-lab"
-SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evolve, evaluate, paper, signing, publish)
+SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evolve, evaluate, diagnose, paper, signing, publish)
 
 
 def build_app() -> typer.Typer:

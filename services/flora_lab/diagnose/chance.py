@@ -115,7 +115,7 @@ def of_swing(scene: Scene, swing: Swing) -> Array:
 def _reach(scene: Scene) -> Array:
     """Points lower on the stem are found as well as the tip, but their lower part hardly moves: as good, not worse."""
     share = np.array([1.0, 1.0, 0.8, 0.6, 0.4])[: len(FEATURES)]
-    return share[scene.feature][:, None] * share[scene.feature][None, :]
+    return np.asarray(share[scene.feature][:, None] * share[scene.feature][None, :])
 
 
 def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence[Array], start: Array) -> Array:

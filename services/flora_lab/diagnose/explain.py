@@ -135,8 +135,7 @@ class Explainer:
         effects = [e for e in CATALOGUE if e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
             gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
-            gain -= self.known.errors.price(fit, len(self.scenes))
-            tried.append(Tried(effect, float(gain), fit))
+            tried.append(Tried(effect, self.known.errors.beyond(fit, float(gain), len(self.scenes)), fit))
         tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose import chance, learn, rhythm, usual_errors
 from flora_lab.diagnose.joint import Base, Found, Joint, ready
+from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
 from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
@@ -34,6 +35,7 @@ class Knowledge:
         errors: how much of every effect healthy runs seem to show.
         left: what each reference run leaves by itself, see :func:`blocks`, shape (runs, 2).
         swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
+        residuals: what the base gets wrong about its own runs.
     """
 
     base: Base
@@ -41,6 +43,7 @@ class Knowledge:
     errors: UsualErrors
     left: Array
     swing_evidence: Array
+    residuals: ReferenceResiduals
 
 
 def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
@@ -59,7 +62,8 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     on_round(ROUNDS)
-    return Knowledge(base, swings, errors, left, _swing_evidence(spectra))
+    shown = reference_residuals(scenes, base, ends)
+    return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown)
 
 
 def blocks(residual: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
-from flora_lab.diagnose import chance, usual_errors
+from flora_lab.diagnose import chance, residuals, usual_errors
 from flora_lab.diagnose.joint import TRAITS, Base
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.rhythm import Swings
@@ -25,6 +25,9 @@ from flora_lab.simulator.store import Extension, Provenance, Stored, write_simul
 Array = npt.NDArray[Any]
 
 _PREFIX: Final = "diagnose."
+_SHOWN: Final = "shown."
+_MISSING: Final = 1e30
+"""Stands for what could not be told of a run: weights on the disk are finite."""
 _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "spread": (TRAITS, TRAITS),
     "doubt": (TRAITS, TRAITS),
@@ -100,6 +103,9 @@ def write_known(
         "error_sd": known.errors.sd,
         "left": known.left,
         "swing_evidence": known.swing_evidence,
+    } | {
+        _SHOWN + name: np.where(np.isnan(array), _MISSING, array)
+        for name, array in residuals.as_arrays(known.residuals).items()
     }
     write_simulator(
         path,
@@ -154,4 +160,17 @@ def read_known(stored: Stored) -> Knowledge:
         UsualErrors(values["error_mean"], values["error_sd"], runs),
         values["left"],
         values["swing_evidence"],
+        _shown(stored),
     )
+
+
+def _shown(stored: Stored) -> residuals.ReferenceResiduals:
+    start = _PREFIX + _SHOWN
+    told = {name[len(start) :]: array for name, array in stored.weights.items() if name.startswith(start)}
+    arrays = {name: np.where(array == _MISSING, np.nan, array) for name, array in told.items()}
+    try:
+        return residuals.from_arrays(arrays)
+    except KeyError as problem:
+        raise BadInput(
+            f"{stored.path}: holds no `{start}{problem.args[0]}`; learn it anew with --reference"
+        ) from problem

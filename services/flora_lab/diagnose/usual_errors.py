@@ -76,28 +76,32 @@ class UsualErrors:
     sd: Array
     runs: int
 
-    def price(self, found: Found, together: int) -> float:
-        """Nats by which the evidence for the last cause of a fit is less, or more, than for a law that were right.
+    def beyond(self, found: Found, gain: float, together: int) -> float:
+        """The evidence for the last cause of a fit, beyond what healthy runs seem to show of it, nats.
 
         Args:
             found: the fit.
+            gain: its evidence, if the law were right.
             together: number of runs that it is of.
         """
         cause = found.hypothesis.causes[-1]
         at = causes().index((cause.effect.name, cause.form))
         p = cause.parameters[strength_of(cause.effect)]
         seen = told(found)
-        away = seen.value - p.centre
+        away, before = seen.value - p.centre, p.spread**2
+        # Far from no effect nothing is linear any more: as wide as the evidence that was really found makes it.
+        wide = seen.variance
+        while _log_odds(away, wide, 0.0, before) > gain and wide < before:
+            wide *= 1.1
         scatter = self.sd[at] ** 2 * (1.0 / together + 1.0 / self.runs)
-        return _log_odds(away, seen.variance, 0.0, p.spread**2, 0.0) - _log_odds(
-            away, seen.variance + scatter, float(self.mean[at]), p.spread**2, 0.0
-        )
+        change = _log_odds(away, wide, 0.0, before) - _log_odds(away, wide + scatter, float(self.mean[at]), before)
+        return gain - change
 
 
-def _log_odds(away: float, variance: float, usual: float, spread_2: float, centre: float) -> float:
+def _log_odds(away: float, variance: float, usual: float, spread_2: float) -> float:
     """Logarithm of how much more probable an estimate is with the effect than without it."""
     wide = variance + spread_2
-    with_it = -0.5 * np.log(wide) - 0.5 * (away - centre - usual) ** 2 / wide
+    with_it = -0.5 * np.log(wide) - 0.5 * (away - usual) ** 2 / wide
     without = -0.5 * np.log(variance) - 0.5 * (away - usual) ** 2 / variance
     return float(with_it - without)
 

@@ -14,6 +14,7 @@ import scipy.stats
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explain import CLAIM, SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.knowledge import Knowledge, blocks
+from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Effect, Parameter
 
 Array = npt.NDArray[Any]
@@ -72,6 +73,49 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
 
 
 _LEAST_SD: Final = 0.10
+
+
+def left_words(left: Left, explanation: Explanation, known: Knowledge) -> str:
+    """What is left, in sentences; empty where it is no more than usual."""
+    if not left.is_much:
+        return ""
+    told = [
+        f"What the best explanation leaves is {left.share:.1f} times what a reference run leaves by itself "
+        f"(p = {left.p_value:.1g})."
+    ]
+    worst, most, base = 0, 0.0, float(np.mean(known.left[:, 0]))
+    for i, residual in enumerate(explanation.found.residuals):
+        if float(np.mean(residual**2)) > most:
+            worst, most = i, float(np.mean(residual**2))
+    scene = explanation.joint.runs[worst].scene
+    squares = explanation.found.residuals[worst][: scene.size] ** 2
+    hours = np.array(
+        [squares[scene.window == w].mean() if (scene.window == w).any() else 0.0 for w in range(scene.windows)]
+    )
+    smooth = np.convolve(hours, np.ones(_ABOUT_H) / _ABOUT_H, mode="same")
+    at = int(np.argmax(smooth))
+    told.append(
+        f"It is most in {scene.run.name}, about {scene.time_h[at]:.0f} h after its start "
+        f"({smooth[at] / base:.0f} times the usual), with the tip at {_height_cm(scene, at):.0f} cm."
+    )
+    by_feature = [float(squares[scene.feature == f].mean()) for f in range(len(_PLACES))]
+    told.append(f"It shows most in {_PLACES[int(np.argmax(by_feature))]}.")
+    return " ".join(told)
+
+
+_ABOUT_H: Final = 6
+_PLACES: Final = (
+    "where the tip is sideways",
+    "how high the tip is",
+    "the stem at two thirds of its height",
+    "the stem at a third of its height",
+    "the foot of the stem",
+)
+
+
+def _height_cm(scene: Scene, window: int) -> float:
+    rows = (scene.window == window) & (scene.feature == 1)
+    return float(scene.features[rows][0]) if rows.any() else float(np.nanmax(scene.run.points_cm[:, -1, 1]))
 
 
 def verdict_of(causes: Sequence[NamedCause], left: Left) -> Verdict:

@@ -18,13 +18,13 @@ RATES: Final = (
 def act(change: Change, v: Values) -> None:
     """Every rate of the plant."""
     for rate in RATES:
-        change.times(rate, v["factor"])
-    change.times("photo_latency_min", 1.0 / v["factor"])
+        change.times(rate, 1.0 / v["factor"])
+    change.times("photo_latency_min", v["factor"])
 
 
 def sentence(v: Values) -> str:
     """What it means."""
-    return f"real plants live {v['factor']:.2f} times as fast as simulated ones"
+    return f"simulated plants live {v['factor']:.2f} times as fast as real ones"
 
 
 EFFECT: Final = Effect(
@@ -38,7 +38,7 @@ EFFECT: Final = Effect(
             low=0.05,
             high=20.0,
             scale="log",
-            meaning="by which all that real plants do is faster than what the simulated ones do",
+            meaning="by which all that simulated plants do is faster than what real ones do",
             source="Wahby et al. 2018: simulated plants take 7 h for what real ones need 72 h for",
             starts=(0.3, 3.0),
         ),

@@ -1,0 +1,78 @@
+"""``flora-lab diagnose``: its options, and what it says."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from flora_common.errors import BadInput
+
+
+def register(app: typer.Typer) -> None:
+    """Add the subcommand to ``flora-lab``."""
+    app.command("diagnose")(diagnose)
+
+
+def diagnose(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Run folders with a track.csv, or tracks.")],
+    *,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write: diagnosis.json, report.html, ...")],
+    simulator: Annotated[
+        Path | None, typer.Option(metavar="SIM", help="The simulator that the runs are compared with.")
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(metavar="RUNS_DIR", help="Learn the simulator from the runs in this folder first.")
+    ] = None,
+    holdout: Annotated[
+        list[Path] | None, typer.Option(metavar="RUN", help="A run to measure the gain on; repeatable.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json.")] = False,
+) -> None:
+    """What the simulation gets wrong about measured runs: shown, named, mended, and the gain measured.
+
+    Give either --simulator or --reference. What is learned from --reference is kept as base.simulator in the folder,
+    and can be given as --simulator the next time.
+    """
+    if (simulator is None) == (reference is None):
+        raise BadInput("give either --simulator SIM or --reference RUNS_DIR: what the runs are to be compared with")
+    folder = _module("folder")
+    folder.check(output)
+    with _progress(quiet or as_json) as (stage, note):
+        result = _module("work").diagnose(
+            runs, simulator=simulator, reference=reference, holdout=holdout or [], stage=stage, note=note
+        )
+        drawn = stage("drawing", 1)
+        folder.write(output, result)
+        drawn()
+    if as_json:
+        typer.echo(folder.as_json(result).decode(), nl=False)
+    elif not quiet:
+        typer.echo(_module("table").text(result), nl=False)
+        typer.echo(f"wrote {output}")
+
+
+def _module(name: str) -> Any:
+    """A module of this package; they import numba, scipy and matplotlib, which others need not wait for."""
+    return importlib.import_module(f"flora_lab.diagnose.{name}")
+
+
+@contextlib.contextmanager
+def _progress(silent: bool) -> Iterator[tuple[Callable[[str, int], Callable[[], None]], Callable[[str], None]]]:
+    """A bar for each stage on a terminal; nothing elsewhere. Notes go to stderr."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+
+        def stage(name: str, total: int) -> Callable[[], None]:
+            task = bars.add_task(name, total=total)
+            return lambda: bars.advance(task)
+
+        yield stage, (lambda _: None) if silent else (lambda text: console.print(f"note: {text}", markup=False))

@@ -1,0 +1,95 @@
+"""The folder of a diagnosis.
+
+diagnosis.json        everything that was found, for programs
+report.html           the same for people
+pictures/             the pictures in it
+base.simulator        what was learned from --reference; give it as --simulator the next time
+extended.simulator    the same with what was found in plants
+corrected/*.csv       tracks without what was found in the record of them
+next-experiment.toml  the light that would tell what these runs cannot
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from flora_common import files
+from flora_common.errors import BadInput
+from flora_lab.diagnose import corrected, figures, figures_of_runs, stored_base
+from flora_lab.diagnose.explain import CLAIM
+from flora_lab.diagnose.film import film
+from flora_lab.diagnose.page import page
+from flora_lab.diagnose.schedules import CHOICE, write_experiment
+from flora_lab.diagnose.work import Result
+
+JSON_FILE: Final = "diagnosis.json"
+PAGE_FILE: Final = "report.html"
+PICTURES: Final = "pictures"
+BASE: Final = "base.simulator"
+EXTENDED: Final = "extended.simulator"
+CORRECTED: Final = "corrected"
+EXPERIMENT: Final = "next-experiment.toml"
+_HOURS: Final = 72.0
+
+
+def check(path: Path) -> None:
+    """Whether a diagnosis may be written there.
+
+    Raises:
+        BadInput: something is there.
+    """
+    if path.exists() or path.is_symlink():
+        raise BadInput(f"{path}: is there already; name another folder with -o")
+
+
+def write(path: Path, result: Result) -> None:
+    """Write all of it, whole or not at all."""
+    with files.whole_folder(path) as folder:
+        pictures = pictures_of(result)
+        (folder / PICTURES).mkdir()
+        for name, data in pictures.items():
+            (folder / PICTURES / f"{name}.{'gif' if name == 'film' else 'png'}").write_bytes(data)
+        (folder / JSON_FILE).write_bytes(as_json(result))
+        evidence = [[(t.effect.title, t.gain) for t in stage.tried] for stage in result.explanation.stages]
+        text = page(result.diagnosis, pictures, evidence=evidence, plant=result.tables.plant)
+        (folder / PAGE_FILE).write_text(text, encoding="utf-8")
+        start = result.start
+        if start.is_new:
+            stored_base.write_known(folder / BASE, start.simulator, start.known, start.provenance)
+        if result.extensions:
+            stored_base.write_known(
+                folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions
+            )
+        corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
+        asked = result.diagnosis.next_experiment
+        chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
+        if chosen is not None:
+            write_experiment(folder / EXPERIMENT, chosen, hours=_HOURS, why=asked.why)
+
+
+def as_json(result: Result) -> bytes:
+    """``diagnosis.json``."""
+    return msgspec.json.format(msgspec.json.encode(result.diagnosis), indent=1) + b"\n"
+
+
+def pictures_of(result: Result) -> dict[str, bytes]:
+    """By name, see :func:`flora_lab.diagnose.page.page`."""
+    tables, extended, explanation = result.tables, result.extended_tables, result.explanation
+    gain = result.diagnosis.gain
+    first = explanation.stages[0]
+    chosen = [cause.effect for cause in result.diagnosis.causes]
+    made = {
+        "paths": figures_of_runs.paths(tables, extended),
+        "stems": figures_of_runs.stems(tables, extended),
+        "phase": figures.by_phase(tables, extended),
+        "stem": figures.along_stem(tables, extended),
+        "spectrum": figures.spectra(tables, explanation.swing),
+        "evidence": figures.evidence([(t.effect.name, t.gain) for t in first.tried], chosen, CLAIM),
+        "film": film(tables, extended),
+    }
+    if gain.free_running:
+        made["gain"] = figures.gain(gain.free_running, gain.one_step)
+    return made

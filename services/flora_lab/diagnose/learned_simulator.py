@@ -1,0 +1,171 @@
+"""What a learned simulator lacks as a whole: the right clock, and a memory.
+
+Both are the paper's own: pairs of photographs in which a stem does not move by a pixel were dropped, which leaves
+plants that live too fast; and single shuffled steps carry nothing from one to the next, so that whatever a plant
+remembers of its light and of its own motion cannot be in the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose.diagnosis import NamedCause
+from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.rollout.time_scale import TimeScale, best_time_scale
+from flora_lab.simulator.interface import History, Simulator
+from flora_lab.simulator.load import simulator_of
+from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.store import Stored
+
+Array = npt.NDArray[Any]
+
+_SEED: Final = 1
+_CLEAR: Final = 1.15
+"""A clock that is wrong by less is not told from individuals."""
+_BETTER: Final = 0.9
+"""The error at the right clock, over that at the simulator's own, below which it matters."""
+_SHIFTS: Final = 400
+_MOMENTS: Final = 24
+"""How often it is looked whether the simulator cares for the past."""
+_PAST_H: Final = 6.0
+_P_CLAIM: Final = 0.01
+_SAME_CM: Final = 1e-6
+
+
+def faults_of(stored: Stored, runs: Sequence[MeasuredRun]) -> list[NamedCause]:
+    """What is wrong with a learned simulator as a whole, as measured runs tell; nothing where it is right."""
+    simulator = simulator_of(stored)
+    found = [_clock(simulator, runs), _memory(simulator, runs)]
+    return [fault for fault in found if fault is not None]
+
+
+def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause | None:
+    scale = best_time_scale(simulator, runs, _SEED)
+    factor, low, high = scale.factor.value, scale.factor.low, scale.factor.high
+    if scale.error_mm > _BETTER * scale.error_as_is_mm or abs(math.log(factor)) < math.log(_CLEAR):
+        return None
+    if low is None or high is None:
+        low, high, sure = *_by_error(scale), 0.8
+    elif low <= 1.0 <= high:
+        return None
+    else:
+        sure = 0.95
+    effect = BY_NAME["time_scale"]
+    told = (
+        f"; the tip error falls from {scale.error_as_is_mm:.0f} to {scale.error_mm:.0f} mm when its clock is set right"
+    )
+    sentence = effect.sentence({"factor": factor})
+    return NamedCause(
+        effect=effect.name,
+        parameters={"factor": factor},
+        interval={"factor": (low, high)},
+        confidence=sure,
+        p_value=0.05,
+        confusable_with=["growth_rate"],
+        evidence=sentence[0].upper() + sentence[1:] + told + ".",
+        nats=0.0,
+    )
+
+
+def _by_error(scale: TimeScale) -> tuple[float, float]:
+    """Factors at which the error is at most a tenth more than at the best: what too few plants allow to say."""
+    near = scale.factors[scale.errors_mm <= 1.1 * scale.errors_mm.min()]
+    return float(near.min()), float(near.max())
+
+
+def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause | None:
+    """Whether plants remember what the simulator forgets.
+
+    The simulator's next stem must not depend on what went before, and its one-step errors must follow from the plant's
+    own last step, in runs other than those that the rule is from; more than they do when the past is shifted in time.
+    """
+    if not _forgets(simulator, runs):
+        return None
+    errors, past = zip(*(_steps(simulator, run) for run in runs), strict=True)
+    share = _told_by_past(errors, past)
+    draw = np.random.default_rng(_SEED)
+    by_chance = []
+    for _ in range(_SHIFTS):
+        shifted = [np.roll(p, int(draw.integers(len(p) // 10, len(p) - len(p) // 10)), axis=0) for p in past]
+        by_chance.append(_told_by_past(errors, shifted))
+    p_value = (1.0 + sum(value >= share for value in by_chance)) / (_SHIFTS + 1.0)
+    if p_value > _P_CLAIM or share <= 0.0:
+        return None
+    hours = float(np.median([_lasting_h(e, run.step_s) for e, run in zip(errors, runs, strict=True)]))
+    return NamedCause(
+        effect="memory",
+        parameters={"time_constant_h": hours},
+        interval={"time_constant_h": (hours / 2.0, hours * 2.0)},
+        confidence=0.97,
+        p_value=float(p_value),
+        confusable_with=[],
+        evidence=(
+            "The simulator's next stem does not depend on what went before, a plant's does: its last step tells "
+            f"{100.0 * share:.0f} % of the variance of the simulator's errors in runs that the rule is not from."
+        ),
+        nats=0.0,
+    )
+
+
+def _forgets(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> bool:
+    """Whether a step from a stem is the same whatever was seen before it."""
+    run = max(runs, key=len)
+    rows_back = round(_PAST_H * 3600.0 / run.step_s)
+    rows = np.flatnonzero(run.is_measured[:-1])
+    rows = rows[rows >= rows_back]
+    rows = rows[:: max(1, len(rows) // _MOMENTS)]
+    for row in rows.tolist():
+        start = row - rows_back
+        while not run.is_measured[start]:
+            start += 1
+        stems, light = run.points_cm[start : row + 1, None], run.light[start:row, None]
+        seen = simulator.watch(History(stems, light, run.step_s, {}))
+        fresh = simulator.start(run.points_cm[row][None])
+        now = run.light[row][None]
+        after = [simulator.step(state, now, run.step_s)[1] for state in (seen, fresh)]
+        if np.abs(after[0] - after[1]).max() > _SAME_CM:
+            return False
+    return len(rows) > 0
+
+
+def _steps(simulator: Simulator[Any], run: MeasuredRun) -> tuple[Array, Array]:
+    """One-step errors of the tip, cm, shape (n, 2), and the plant's own step before each, shape (n, 2)."""
+    known = run.is_measured
+    rows = np.flatnonzero(np.logical_and.reduce([known[:-2], known[1:-1], known[2:]])) + 1
+    stems = simulator.step(simulator.start(run.points_cm[rows]), run.light[rows], run.step_s)[1]
+    tips = run.points_cm[:, -1]
+    return tips[rows + 1] - stems[:, -1], tips[rows] - tips[rows - 1]
+
+
+def _told_by_past(errors: Sequence[Array], past: Sequence[Array]) -> float:
+    """Share of the errors' variance that their past tells, each run by the rule of all others."""
+    left = total = 0.0
+    for i, (own, before) in enumerate(zip(errors, past, strict=True)):
+        others = [j for j in range(len(errors)) if j != i] or [i]
+        x = np.concatenate([_columns(past[j]) for j in others])
+        y = np.concatenate([errors[j] for j in others])
+        rule = np.linalg.lstsq(x, y, rcond=None)[0]
+        middle = np.concatenate([errors[j] for j in others]).mean(axis=0)
+        left += float(((own - _columns(before) @ rule) ** 2).sum())
+        total += float(((own - middle) ** 2).sum())
+    return 1.0 - left / total if total > 0.0 else 0.0
+
+
+def _columns(past: Array) -> Array:
+    return np.column_stack([np.ones(len(past)), past])
+
+
+def _lasting_h(errors: Array, step_s: float) -> float:
+    """How long errors stay alike, hours: until their correlation has fallen to 1/e."""
+    own = errors[:, 0] - errors[:, 0].mean()
+    most = min(len(own) - 1, round(12.0 * 3600.0 / step_s))
+    power = float(own @ own)
+    for lag in range(1, most):
+        if float(own[lag:] @ own[:-lag]) < power / math.e:
+            return lag * step_s / 3600.0
+    return most * step_s / 3600.0

@@ -1,0 +1,256 @@
+"""Which run to make next: the light schedule under which the causes that are still possible part the most.
+
+For each cause that may still be, and each schedule that a rig can run, it is worked out what a further run would be
+like: a new plant, the cause as strong as it was found, everything as uncertain as it is. All is linear there, so that
+both predictions are normal distributions, and how many nats one cause is expected to lose against another if that one
+is the true one is their divergence (Kullback and Leibler 1951). No run is simulated by chance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from flora_common.geometry import FloatArray
+from flora_lab.diagnose import chance
+from flora_lab.diagnose.diagnosis import NextExperiment
+from flora_lab.diagnose.explain import CLAIM, Explanation
+from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.rivals import last_choice, rivals
+from flora_lab.diagnose.scene import TEMPERATURE, Scene
+from flora_lab.diagnose.schedules import CHOICE, DEFAULT, Schedule
+from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects.effect import Change
+from flora_lab.simulator.measured import STEP_S, MeasuredRun
+from flora_lab.simulator.terms import ExtendedLaw
+
+Array = npt.NDArray[Any]
+
+CLOSE_NATS: Final = 6.0
+"""A cause whose evidence lies so near to that of the best one may still be the true one."""
+MOST: Final = 4
+"""Causes that are compared, at most: maps of more are not read."""
+TOLD_NATS: Final = 1.0
+"""A run that is expected to tell less than this does not tell two causes apart."""
+MUCH_NATS: Final = 2.0
+"""By so much a schedule must be better than another one to be worth a word."""
+NOTHING: Final = "nothing"
+_STEPS: Final = 8
+_STEPS_TO_SUIT: Final = 4
+_PICTURES: Final[Mapping[str, str]] = {
+    "camera_roll": "a plumb line in the picture",
+    "camera_drift": "a plumb line in the first picture and in the last one",
+    "camera_scale": "a scale bar beside the stem",
+    "clock_offset": "a picture that shows the lamps change, with its time",
+    "clock_skew": "pictures that show the lamps change, with their times, at the start and at the end",
+}
+"""What settles an effect of the record without any light."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A cause that may be the true one.
+
+    Attributes:
+        name: of the effect.
+        found: all causes together, this one the last.
+        behind: nats by which its evidence lies behind that of the best one.
+    """
+
+    name: str
+    found: Found
+    behind: float
+
+
+Separating = dict[tuple[str, str], dict[str, float]]
+"""Pair of causes to name of a schedule to nats a run."""
+
+
+def next_experiment(scenes: Sequence[Scene], base: Base, explanation: Explanation) -> NextExperiment:
+    """What would separate the causes that may still be.
+
+    Args:
+        scenes: the runs that were explained.
+        base: what is known of plants.
+        explanation: of them.
+    """
+    candidates = candidates_of(explanation)
+    if len(candidates) < 2:
+        return NextExperiment(why="Nothing else comes near: no further run is needed to tell causes apart.")
+    told = separating(scenes, base, candidates, explanation.swing)
+    best, others = candidates[0], candidates[1:]
+    asked = {other.name: told[best.name, other.name] for other in others}
+    by_light = [other for other in others if max(asked[other.name].values()) >= TOLD_NATS]
+    chosen = _chosen(by_light, asked)
+    pictures = _pictures(best.name, [other.name for other in others])
+    without = [other.name for other in others if other not in by_light]
+    said = _why_light(best.name, by_light, asked, chosen) if chosen is not None else []
+    said += [_why_none(best.name, name, pictures.get(name)) for name in without]
+    said += [
+        f"Without any light: {text} tells {name} from {best.name}."
+        for name, text in pictures.items()
+        if name not in without
+    ]
+    first = without + [other.name for other in by_light]
+    return NextExperiment(
+        light_schedule="" if chosen is None else chosen.text,
+        separates=[best.name, *(other.name for other in (by_light or others))],
+        why=" ".join(said),
+        map={f"{a} / {b}": {name: round(nats, 1) for name, nats in row.items()} for (a, b), row in told.items()},
+        picture=next((_PICTURES.get(name, "") or pictures[name] for name in first if name in pictures), ""),
+    )
+
+
+def candidates_of(explanation: Explanation) -> list[Candidate]:
+    """The causes that may still be, the best one first; one or none where nothing is in question."""
+    stage = last_choice(explanation)
+    if stage is None:
+        near = [t for t in explanation.stages[0].tried if t.found is not None and t.gain > 0.5 * CLAIM]
+        nothing = [Candidate(NOTHING, explanation.found, 0.0)] if near else []
+        return nothing + [Candidate(t.effect.name, t.found, 0.0) for t in near[:1] if t.found is not None]
+    best = stage.tried[0]
+    out = [Candidate(best.effect.name, explanation.found, 0.0)]
+    for tried in rivals(explanation):
+        behind = best.gain - tried.gain
+        is_same = tried.effect.name in best.effect.same_as or best.effect.name in tried.effect.same_as
+        if tried.found is not None and (behind <= CLOSE_NATS or is_same) and len(out) < MOST:
+            out.append(Candidate(tried.effect.name, _to_the_end(explanation.joint, tried.found), max(behind, 0.0)))
+    return out
+
+
+def _to_the_end(joint: Joint, found: Found) -> Found:
+    """A fit of which only the beginning was made, because it promised little, carried on."""
+    return found if found.jacobians else joint.fit(found, _STEPS)
+
+
+def separating(
+    scenes: Sequence[Scene],
+    base: Base,
+    candidates: Sequence[Candidate],
+    swing: Swing | None = None,
+    schedules: Sequence[Schedule] = CHOICE,
+) -> Separating:
+    """How many nats a further run would bring, on the mean, between each two causes of which one is true.
+
+    Args:
+        scenes: runs that were made: a further one is as long, as warm, and of plants as long at the start.
+        base: what is known of plants.
+        candidates: the causes.
+        swing: of the tip, that is there besides.
+        schedules: to compare.
+    """
+    pairs = list(itertools.combinations(candidates, 2))
+    told: Separating = {(a.name, b.name): {} for a, b in pairs}
+    for schedule in schedules:
+        scene = planned(scenes, schedule)
+        parts = chance.covariances(scene, scene.answers(base.mean, Change()))
+        run = ready(scene, base, parts, together=1, swing=swing)
+        typical = {candidate.name: _typical(run, base, candidate) for candidate in candidates}
+        for a, b in pairs:
+            nats = lost(run, base, typical[a.name], b) + lost(run, base, typical[b.name], a)
+            told[a.name, b.name][schedule.name] = 0.5 * nats
+    return told
+
+
+def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
+    """A run that was not made yet: as long and as warm as the first one, of a plant that starts as they did."""
+    like = max(scenes, key=lambda scene: scene.steps)
+    steps = round(like.steps * like.step_h * 3600.0 / STEP_S)
+    step_h = STEP_S / 3600.0
+    first_cm = np.mean([scene.first_cm for scene in scenes], axis=0)
+    points = np.repeat(first_cm[None], steps + 1, axis=0).astype(np.float64)
+    time_s = np.arange(steps + 1) * STEP_S
+    at_h = (np.arange(steps) + 0.5) * step_h
+    # Warmth is told as what it is above the usual, so the usual is none.
+    warmth: FloatArray = np.interp(at_h, (np.arange(like.steps) + 0.5) * like.step_h, like.warmth_c)
+    light = schedule.levels(steps, step_h)
+    run = MeasuredRun(schedule.name, "", "", points, light, time_s, STEP_S, {TEMPERATURE: warmth})
+    law: ExtendedLaw = like.law
+    return Scene(run, law, 0.0)
+
+
+def _typical(run: Ready, base: Base, candidate: Candidate) -> Array:
+    """What a typical plant would show in a run under a cause, shape (m + 2,)."""
+    found = candidate.found
+    at = Found(found.hypothesis, found.coordinates, base.mean[None], np.zeros((1, 2)))
+    return Joint([run], base).features_of(at, 0, with_slopes=False)[0]
+
+
+def lost(run: Ready, base: Base, told: Array, other: Candidate) -> float:
+    """Nats that a cause loses on a run that another one made, with a plant and with parameters that suit it best.
+
+    Args:
+        run: that is planned.
+        base: what is known of plants.
+        told: what the true cause shows, shape (m + 2,).
+        other: the cause that is not true. Its parameters are known from the runs that were made, the plant is not.
+    """
+    joint, found = Joint([run], base), other.found
+    centre = np.concatenate([base.mean, np.zeros(len(START_SD)), found.coordinates])
+    doubt = scipy.linalg.block_diag(base.spread + base.doubt, np.diag(START_SD**2), found.covariance)
+    precision = np.linalg.inv(doubt)
+    at, least = centre, np.inf
+    for _ in range(_STEPS_TO_SUIT):
+        plant, own = at[: len(base.mean) + len(START_SD)], at[len(base.mean) + len(START_SD) :]
+        traits, start = plant[None, : len(base.mean)], plant[None, len(base.mean) :]
+        shown, slopes = joint.features_of(Found(found.hypothesis, own, traits, start), 0)
+        rest, white, away = run.white(told - shown), run.white(slopes), at - centre
+        least = min(least, 0.5 * float(rest @ rest + away @ precision @ away))
+        at = at + np.linalg.solve(white.T @ white + precision, white.T @ rest - precision @ away)
+    return least
+
+
+def _chosen(by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, float]]) -> Schedule | None:
+    """The equal turns after which the least is expected to be left of the other causes' probability."""
+    if not by_light:
+        return None
+
+    def left(schedule: Schedule) -> float:
+        return float(sum(np.exp(-other.behind - asked[other.name][schedule.name]) for other in by_light))
+
+    return min((schedule for schedule in CHOICE if schedule.turns_h is not None), key=left)
+
+
+def _why_light(
+    best: str, by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, float]], chosen: Schedule
+) -> list[str]:
+    said = []
+    for other in by_light:
+        row = asked[other.name]
+        usual = "" if chosen.name == DEFAULT else f"; turns of {DEFAULT} would tell {row[DEFAULT]:.1f}"
+        said.append(
+            f"A run of three days with turns of {chosen.name} is expected to tell {best} from {other.name} by "
+            f"{row[chosen.name]:.1f} nats{usual}."
+        )
+    lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
+    weakest = min(by_light, key=lambda other: asked[other.name][chosen.name])
+    better = max(lists, key=lambda schedule: asked[weakest.name][schedule.name])
+    gained = asked[weakest.name][better.name] - asked[weakest.name][chosen.name]
+    if gained > MUCH_NATS:
+        said.append(
+            f"Better still, but not within a rig's open loop of equal turns: {better.name}, "
+            f"{asked[weakest.name][better.name]:.1f} nats between {best} and {weakest.name}."
+        )
+    return said
+
+
+def _why_none(best: str, other: str, what: str | None) -> str:
+    return f"No light tells {best} from {other}" + (f"; {what} would." if what else ".")
+
+
+def _pictures(best: str, others: Sequence[str]) -> dict[str, str]:
+    """By the name of another cause: what tells it from the best one without light."""
+    found = {}
+    for other in others:
+        same = BY_NAME[best].same_as.get(other) if best in BY_NAME else None
+        text = same or _PICTURES.get(other) or _PICTURES.get(best)
+        if text:
+            found[other] = text
+    return found

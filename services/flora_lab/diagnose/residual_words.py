@@ -1,0 +1,228 @@
+"""Residuals in sentences that need no statistics to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose.replayed import PLANTS, Plant, Replayed
+from flora_lab.diagnose.residual_statistics import SIDES, Comparison, Group, rms
+from flora_lab.diagnose.rhythm import PERIODS_H, spectrum
+
+Array = npt.NDArray[Any]
+
+_SINCE_WORDS: Final = (
+    "in the first hour after a switch",
+    "from one to three hours after a switch",
+    "from three to six hours after a switch",
+    "more than six hours after a switch",
+)
+_MAINLY: Final = 1.35
+"""A time is named if its residual is so many times the mean over all times."""
+_GROWS: Final = 1.7
+_FLAT: Final = 0.6
+_STORIES: Final[tuple[tuple[Group, ...], ...]] = (("sideways", "lean"), ("growth",), ("height",), ("swing",))
+"""Groups of numbers that one sentence tells."""
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """What there is to put into words.
+
+    Attributes:
+        numbers: of the measured runs, by simulated plant, shape (runs, k).
+        reference: of the reference runs, or None.
+        compared: both beside each other, the typical ones first; None without reference runs.
+        p_value: altogether.
+        p_by_fit: by the misfit alone.
+    """
+
+    numbers: dict[Plant, Array]
+    reference: dict[Plant, Array] | None
+    compared: Comparison | None
+    p_value: float
+    p_by_fit: float
+
+    @property
+    def clearer_plant(self) -> Plant:
+        """Constants of their own can absorb an effect; where they do not, they let it be seen more clearly."""
+        if self.compared is None:
+            return "own"
+        most = np.nan_to_num(np.abs(self.compared.away)).reshape(len(PLANTS), -1).max(axis=1)
+        return PLANTS[int(np.argmax(most))]
+
+
+def description(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> str:
+    """A few sentences: how large, what it looks like, and whether it is more than chance."""
+    sentences = [_size(looks, runs)]
+    sentences.extend(_pattern(looks, runs, is_significant))
+    sentences.append(_verdict(looks, is_significant))
+    return " ".join(sentences)
+
+
+def mm(value: float) -> str:
+    """Millimetres as people read them."""
+    return f"{value:.0f} mm" if abs(value) >= 9.5 else f"{value:.1f} mm"
+
+
+def p_text(p_value: float) -> str:
+    """A p-value as people read it."""
+    return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
+
+
+def _size(looks: Looks, runs: Sequence[Replayed]) -> str:
+    """How far off the tip is, and how far off it is in reference runs."""
+    here = {p: rms(np.concatenate([np.hypot(*run.error_mm(p)[:, -1].T) for run in runs])) for p in PLANTS}
+    usual = dict.fromkeys(PLANTS, "")
+    if looks.reference is not None:
+        place = told.of_group("size")[0]
+        logs = {p: looks.reference[p][:, place] for p in PLANTS}
+        sizes = {p: mm(float(np.sqrt(np.mean(np.exp(2.0 * logs[p]))))) for p in PLANTS}
+        usual = {"typical": f" (reference runs: {sizes['typical']})", "own": f" (reference runs: {sizes['own']})"}
+    return (
+        f"Told only the first stem and the lamps, the simulated typical plant's tip is {mm(here['typical'])} from the "
+        f"measured one{usual['typical']}; with constants of each plant's own it is {mm(here['own'])}{usual['own']}."
+    )
+
+
+def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> list[str]:
+    """One sentence for what stands out most, and one more if another kind of thing stands out too."""
+    scores = [_score(looks, story) for story in _STORIES]
+    order = np.argsort(scores)[::-1]
+    limit = looks.compared.remarkable if looks.compared is not None else 1.0
+    out = []
+    for rank, k in enumerate(order[:2]):
+        if scores[k] < (limit if rank or not is_significant else 0.0):
+            break
+        story = _STORIES[k]
+        if "sideways" in story:
+            said = _sideways(looks)
+        elif "growth" in story:
+            said = _growth(looks)
+        elif "height" in story:
+            said = _height(looks)
+        else:
+            said = _swing(runs)
+        if rank == 0:
+            beside = "Beside the typical plant," if looks.clearer_plant == "typical" else "Even then,"
+            said = f"{beside} {said[0].lower()}{said[1:]}"
+        out.append(said)
+    return out
+
+
+def _score(looks: Looks, story: Sequence[Group]) -> float:
+    """How much stands out there: in standard errors, or without reference runs in rough units of what is usual."""
+    places = np.concatenate([told.of_group(group) for group in story])
+    if looks.compared is not None:
+        both = np.concatenate([looks.compared.away[places], looks.compared.away[places + told.COUNT]])
+        return float(np.nan_to_num(np.abs(both)).max())
+    usual = {"sideways": 5.0, "lean": 5.0, "growth": 0.3, "height": 8.0, "swing": np.inf}[story[0]]
+    numbers = looks.numbers[looks.clearer_plant][:, places]
+    return float(np.nan_to_num(np.abs(told.mean_over_runs(numbers))).max() / usual)
+
+
+def _means(numbers: Array, group: Group) -> Array:
+    """Over runs; 0 where no run tells."""
+    return np.nan_to_num(told.mean_over_runs(numbers[:, told.of_group(group)]))
+
+
+def _differ(looks: Looks, group: Group) -> str:
+    """How far plants differ in these numbers anyway."""
+    if looks.reference is None:
+        return ""
+    known = looks.reference[looks.clearer_plant][:, told.of_group(group)]
+    spread = rms(known)
+    unit = "mm/h" if group == "growth" else "mm"
+    return f"; reference plants differ by {_number(spread)} {unit}"
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 9.5 else f"{value:.1f}" if abs(value) >= 0.95 else f"{value:.2f}"
+
+
+def _to(value_mm: float) -> str:
+    return f"{mm(abs(value_mm))} farther to the {'right' if value_mm > 0 else 'left'}"
+
+
+def _sideways(looks: Looks) -> str:
+    """Left or right, under which lamp, how long after a switch, and whether it grows with the plant."""
+    by = _means(looks.numbers[looks.clearer_plant], "sideways").reshape(len(SIDES), -1)
+    seen = np.isfinite(looks.numbers[looks.clearer_plant][:, told.of_group("sideways")]).any(axis=0).reshape(by.shape)
+    count = np.maximum(seen.sum(axis=1), 1)
+    left, right = by.sum(axis=1) / count
+    larger = 0 if abs(left) > abs(right) else 1
+    alike = min(abs(left), abs(right)) > _FLAT * max(abs(left), abs(right))
+    if alike and left * right > 0:
+        by_time = by.mean(axis=0)
+        text = f"The tip lies {_to(0.5 * (left + right))} than simulated, whichever lamp shines"
+    elif alike:
+        by_time = 0.5 * (by[1] - by[0])
+        way = "farther towards" if right > 0 else "less far towards"
+        text = f"The tip lies {mm(0.5 * abs(right - left))} {way} the lamp that shines than simulated"
+    else:
+        by_time = by[larger]
+        text = f"The tip lies {_to(float((left, right)[larger]))} than simulated while the {SIDES[larger]} lamp shines"
+    text += _mainly(by_time, np.asarray(seen.any(axis=0))) + _by_day(_means(looks.numbers[looks.clearer_plant], "lean"))
+    return f"{text}{_differ(looks, 'sideways')}."
+
+
+def _mainly(by_time: Array, seen: Array) -> str:
+    size = np.abs(by_time) * seen
+    if seen.sum() < 2 or size.max() < _MAINLY * size[seen].mean():
+        return ""
+    return f", mainly {_SINCE_WORDS[int(np.argmax(size))]}"
+
+
+def _by_day(by_day: Array) -> str:
+    first, last = abs(by_day[0]), abs(by_day[-1])
+    if by_day[0] * by_day[-1] > 0 and last > _GROWS * first and last > 2.0:
+        return f", growing from {mm(first)} on the first day to {mm(last)} on the third"
+    return ""
+
+
+def _growth(looks: Looks) -> str:
+    rates = _means(looks.numbers[looks.clearer_plant], "growth")
+    middle, swing = float(rates.mean()), 0.5 * float(np.ptp(rates))
+    differ = _differ(looks, "growth")
+    if abs(middle) > swing:
+        return f"The stem grows {_number(abs(middle))} mm/h {_faster(middle)} than simulated, day and night{differ}."
+    fast, slow = int(np.argmax(rates)), int(np.argmin(rates))
+    return (
+        f"Counted from the start of each day, growth is {_number(rates[fast])} mm/h faster than simulated in hours "
+        f"{told.clock_label(fast).removesuffix(' h')} and {_number(-rates[slow])} mm/h slower in hours "
+        f"{told.clock_label(slow).removesuffix(' h')}{differ}."
+    )
+
+
+def _faster(value: float) -> str:
+    return "faster" if value > 0 else "more slowly"
+
+
+def _height(looks: Looks) -> str:
+    by_day = _means(looks.numbers[looks.clearer_plant], "height")
+    last = float(by_day[-1]) if by_day[-1] else float(by_day[0])
+    way = "higher" if last > 0 else "lower"
+    return f"The tip is {mm(abs(last))} {way} than simulated by the last day{_differ(looks, 'height')}."
+
+
+def _swing(runs: Sequence[Replayed]) -> str:
+    spectra = [spectrum(run.error_mm("own")[:, -1, 0], run.step_h) for run in runs]
+    grid = np.linspace(1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0], 80)
+    power = np.mean([np.interp(grid, own.per_hour, own.power) for own in spectra], axis=0)
+    period_h = 1.0 / float(grid[np.argmax(power)])
+    return f"The tip swings to and fro every {period_h:.1f} h or so, more than simulated plants and reference runs do."
+
+
+def _verdict(looks: Looks, is_significant: bool) -> str:
+    p = p_text(looks.p_value)
+    if looks.reference is None:
+        more = "more" if is_significant else "no more"
+        return f"That is {more} than the simulator's own chance makes of it ({p})."
+    if not is_significant:
+        return f"Taken as a whole, that is no more than plants and chance make of it ({p})."
+    return f"That is more than plants and chance make of it ({p})."

@@ -1,0 +1,198 @@
+"""A diagnosis from its inputs to its results, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from flora_common.runs import LampsSection
+from flora_lab.diagnose import emulated, stored_base
+from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment
+from flora_lab.diagnose.explain import Explainer, Explanation
+from flora_lab.diagnose.gain import measure_gain
+from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
+from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
+from flora_lab.diagnose.learned_simulator import faults_of
+from flora_lab.diagnose.next_experiment import next_experiment
+from flora_lab.diagnose.residuals import ResidualTables, residuals_of
+from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.summary import summary
+from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
+from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.simulator.load import simulator_of
+from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.store import Extension, Provenance, Stored, TrackEntry, read_stored, software
+from flora_lab.threads import one_blas_thread
+from flora_lab.train.growing import range_of
+
+Stage = Callable[[str, int], Callable[[], None]]
+"""Begins a stage of so many steps, and is told of each."""
+
+IN_PLANTS: Final = ("plant", "simulator")
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What a diagnosis starts from.
+
+    Attributes:
+        simulator: the mechanistic simulator that is extended.
+        known: what the reference tells.
+        usual_c: temperature that its plants are used to.
+        provenance: where the simulator is from.
+        learned_from: a sentence.
+        is_new: whether it was learned here, and is to be kept.
+        judged: the simulator that was given, if it is not the mechanistic one.
+    """
+
+    simulator: RodSimulator
+    known: Knowledge
+    usual_c: float | None
+    provenance: Provenance
+    learned_from: str
+    is_new: bool
+    judged: Stored | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """All that is written and told.
+
+    Attributes:
+        start: what it started from.
+        diagnosis: ``diagnosis.json``.
+        explanation: how it was come to.
+        tables: residuals of the simulator as it is, for pictures.
+        extended_tables: of the extended one; None where nothing was found.
+        extensions: what the simulator is extended by.
+        runs: that were diagnosed.
+    """
+
+    start: Start
+    diagnosis: Diagnosis
+    explanation: Explanation
+    tables: ResidualTables
+    extended_tables: ResidualTables | None
+    extensions: tuple[Extension, ...]
+    runs: Runs
+
+
+def start_from(runs: Runs, simulator: Path | None, reference: Path | None, stage: Stage) -> Start:
+    """Learn the base, or read it.
+
+    Raises:
+        BadInput: see :func:`flora_lab.diagnose.inputs.read_reference` and
+            :func:`flora_lab.simulator.store.read_stored`.
+    """
+    if reference is not None:
+        told = read_reference(reference, runs)
+        provenance = _provenance(told, "the runs of --reference")
+        return _learned(told, provenance, f"{len(told.measured)} reference runs", stage)
+    assert simulator is not None
+    stored = read_stored(simulator)
+    if stored_base.is_known(stored):
+        read = RodSimulator.from_stored(stored)
+        known = stored_base.read_known(stored)
+        words = f"{simulator.name}, learned from {known.base.runs} runs"
+        return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
+    judged = simulator_of(stored)
+    told = emulated.reference_of(judged, runs)
+    words = (
+        f"{len(told.measured)} runs of {simulator.name} itself: what it is wrong in is judged by its own chance alone"
+    )
+    start = _learned(told, _provenance(told, f"runs simulated by {simulator.name}"), words, stage)
+    return Start(start.simulator, start.known, None, start.provenance, words, is_new=True, judged=stored)
+
+
+def _learned(told: Runs, provenance: Provenance, words: str, stage: Stage) -> Start:
+    usual_c = told.usual_temperature_c()
+    step = stage("learning from the reference", ROUNDS)
+    with one_blas_thread():
+        known = learn_from(told.scenes(usual_c), lambda _: step())
+    lamps = next((run.lamps for run in told.measured if run.lamps is not None), LampsSection())
+    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c)
+    return Start(simulator, known, usual_c, provenance, words, is_new=True)
+
+
+def diagnose(
+    paths: Sequence[Path],
+    *,
+    simulator: Path | None,
+    reference: Path | None,
+    holdout: Sequence[Path],
+    stage: Stage,
+    note: Callable[[str], None],
+) -> Result:
+    """The whole of it.
+
+    Raises:
+        BadInput: anything that cannot be read, or is too little.
+    """
+    runs = read_runs(paths, note)
+    further = read_runs(holdout) if holdout else None
+    start = start_from(runs, simulator, reference, stage)
+    scenes = runs.scenes(start.usual_c)
+    step = stage("looking for causes", len(CATALOGUE))
+    with one_blas_thread():
+        explanation = Explainer(scenes, start.known, step).explain()
+        left = left_of(explanation, start.known)
+        causes = named(explanation, left)
+        faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
+        said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
+        extended_tables = _extended(scenes, start.known, explanation)
+        step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
+        held_out = further.scenes(start.usual_c) if further else []
+        gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
+        asked = next_experiment(scenes, start.known.base, explanation) if causes else NextExperiment()
+    causes = [*faults, *causes]
+    diagnosis = Diagnosis(
+        verdict=verdict_of(causes, left),
+        causes=causes,
+        residuals=_with_left(said, left, explanation, start.known),
+        gain=gain,
+        next_experiment=asked,
+        summary=summary(causes, left),
+        record=list(runs.notes),
+        runs=[str(track.file) for track in runs.tracks],
+        base={"learned_from": start.learned_from, **_base_words(start.known)},
+    )
+    return Result(start, diagnosis, explanation, tables, extended_tables, extensions_of(causes), runs)
+
+
+def extensions_of(causes: Sequence[NamedCause]) -> tuple[Extension, ...]:
+    """What a simulator is extended by: causes in plants. Those in the record correct the data instead."""
+    return tuple(
+        Extension(cause.effect, dict(cause.parameters), cause.form)
+        for cause in causes
+        if cause.effect in BY_NAME and BY_NAME[cause.effect].where in IN_PLANTS
+    )
+
+
+def _extended(scenes: Sequence[Scene], known: Knowledge, explanation: Explanation) -> ResidualTables | None:
+    if not explanation.found.hypothesis.causes:
+        return None
+    return residuals_of(scenes, known.base, explanation.found, known.residuals)[1]
+
+
+def _with_left(said: Any, left: Left, explanation: Explanation, known: Knowledge) -> Any:
+    import msgspec  # noqa: PLC0415
+
+    return msgspec.structs.replace(said, left=left_words(left, explanation, known))
+
+
+def _provenance(told: Runs, words: str) -> Provenance:
+    return Provenance(
+        recipe="diagnose",
+        seed=0,
+        software=software(),
+        split=f"learned from {words}; the runs that are diagnosed are others",
+        track=[TrackEntry(run.name, run.plant, run.sha256) for run in told.measured if run.sha256],
+    )
+
+
+def _base_words(known: Knowledge) -> dict[str, Any]:
+    from flora_lab.diagnose import chance  # noqa: PLC0415
+
+    return {"runs": known.base.runs, "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()}}
