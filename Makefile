@@ -10,8 +10,10 @@ KERAS_VENV := .venv-bench-keras
 CLUSTER_VENV := .venv-cluster
 SPEED  ?= lockstep
 SCALE  ?= small
+CASES  ?= 400
+JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training paper pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery paper pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -96,6 +98,9 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 	@$(BIN)/python -m venv $(KERAS_VENV)
 	@$(KERAS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
+
+discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 SEED=1 JOBS=2 ONLY=sag,draught)
+	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper

@@ -60,6 +60,14 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
+class Accepted:
+    """A cause that was taken, and among which others."""
+
+    tried: Tried
+    stage: Stage
+
+
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """What explains the runs best.
 
@@ -68,6 +76,7 @@ class Explanation:
         found: with all causes.
         swing: of the tip, where one was found.
         stages: how it was come to.
+        accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
     """
 
@@ -75,6 +84,7 @@ class Explanation:
     found: Found
     swing: Swing | None
     stages: tuple[Stage, ...]
+    accepted: tuple[Accepted, ...]
     joint: Joint
 
 
@@ -94,7 +104,7 @@ class Explainer:
         self._parts: list[Array] = []
 
     def explain(self) -> Explanation:
-        """The causes, one after another while they are worth it."""
+        """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
         alone = self._all_alone()
         self._parts = [
             chance.covariances(scene, scene.answers(fit.traits[0], Change()))
@@ -105,6 +115,7 @@ class Explainer:
         null = joint.fit(_side_by_side(alone), 12)
         found = null
         stages: list[Stage] = []
+        accepted: list[Accepted] = []
         while len(stages) <= MOST_CAUSES:
             stage = self.stage(joint, found, swing)
             for _ in range(_RESTARTS):
@@ -117,16 +128,34 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < (CLAIM if len(stages) == 1 else MORE) or len(stages) > MOST_CAUSES:
+            if best.gain < (MORE if accepted else CLAIM) or len(accepted) == MOST_CAUSES:
                 break
+            accepted.append(Accepted(best, stage))
             if best.swing is not None:
                 swing = best.swing
                 joint = self._joint(swing)
                 null = joint.fit(_side_by_side(alone), 12)
                 found = joint.fit(_started(found), 12)
             elif best.found is not None:
-                found = best.found
-        return Explanation(null, found, swing, tuple(stages), joint)
+                found = self._pruned(joint, best.found, accepted)
+        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint)
+
+    def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
+        """Without the causes that the last one has made worthless; ``accepted`` is changed."""
+        for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
+            name = earlier.tried.effect.name
+            less = joint.fit(_without(found, name), 12)
+            if found.evidence - less.evidence >= MORE:
+                continue
+            found = less
+            accepted.remove(earlier)
+            last = accepted[-1].tried.effect.name
+            again = next((t for t in earlier.stage.tried if t.effect.name == last), None)
+            if again is not None and again.found is not None:
+                # It was compared with the dropped one there: that is where its rivals are.
+                rest = tuple(t for t in earlier.stage.tried if t is not again)
+                accepted[-1] = Accepted(again, Stage(earlier.stage.before, (again, *rest)))
+        return found
 
     def stage(self, joint: Joint, before: Found, swing: Swing | None) -> Stage:
         """All causes that are not yet in, on top of those that are, best first."""
@@ -134,9 +163,13 @@ class Explainer:
         tried: list[Tried] = []
         effects = [e for e in CATALOGUE if e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
-            gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
-            tried.append(Tried(effect, self.known.errors.beyond(fit, float(gain), len(self.scenes)), fit))
+            tried.append(Tried(effect, self._gain(before, effect, fit), fit))
         tried.sort(key=lambda t: -t.gain)
+        while tried and tried[0].found is not None and not tried[0].found.jacobians:
+            # Only looked at linearly so far.
+            effect, fit = tried[0].effect, joint.fit(_started(tried[0].found), 12)
+            tried[0] = Tried(effect, self._gain(before, effect, fit), fit)
+            tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
             # A cause that makes fast errors vanish, too, explains what a swing only describes.
@@ -145,6 +178,11 @@ class Explainer:
             if own.gain > 0.0:
                 tried.insert(place, own)
         return Stage(before, tuple(tried))
+
+    def _gain(self, before: Found, effect: Effect, fit: Found) -> float:
+        """Evidence for the last cause of a fit."""
+        gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
+        return self.known.errors.beyond(fit, float(gain), len(self.scenes))
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
@@ -211,6 +249,19 @@ def _side_by_side(alone: Sequence[Found]) -> Found:
     traits = np.concatenate([fit.traits for fit in alone])
     start = np.concatenate([fit.start for fit in alone])
     return Found(Hypothesis(), np.zeros(0), traits, start)
+
+
+def _without(found: Found, name: str) -> Found:
+    """The same start without one of the causes."""
+    causes, coordinates, at = [], [], 0
+    for cause in found.hypothesis.causes:
+        own = found.coordinates[at : at + len(cause.parameters)]
+        at += len(cause.parameters)
+        if cause.effect.name != name:
+            causes.append(cause)
+            coordinates.append(own)
+    joined = np.concatenate(coordinates) if coordinates else np.zeros(0)
+    return Found(Hypothesis(tuple(causes)), joined, found.traits.copy(), found.start.copy())
 
 
 def _started(found: Found) -> Found:

@@ -193,7 +193,7 @@ class Joint:
 
     def fit(self, start: Found, iterations: int) -> Found:
         """The most probable unknowns of a hypothesis, from a start on."""
-        at = self._linearised(start)
+        at = self._linearised(replace(start))
         damping = 1e-3
         for _ in range(iterations):
             normal, downhill = self._normal(at)

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from flora_common.geometry import FloatArray
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
 from flora_lab.diagnose.explain import CLAIM, Explanation
@@ -166,10 +165,10 @@ def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
     step_h = STEP_S / 3600.0
     first_cm = np.mean([scene.first_cm for scene in scenes], axis=0)
     points = np.repeat(first_cm[None], steps + 1, axis=0).astype(np.float64)
-    time_s = np.arange(steps + 1) * STEP_S
+    time_s = np.arange(steps + 1, dtype=np.float64) * STEP_S
     at_h = (np.arange(steps) + 0.5) * step_h
     # Warmth is told as what it is above the usual, so the usual is none.
-    warmth: FloatArray = np.interp(at_h, (np.arange(like.steps) + 0.5) * like.step_h, like.warmth_c)
+    warmth = np.asarray(np.interp(at_h, (np.arange(like.steps) + 0.5) * like.step_h, like.warmth_c), dtype=np.float64)
     light = schedule.levels(steps, step_h)
     run = MeasuredRun(schedule.name, "", "", points, light, time_s, STEP_S, {TEMPERATURE: warmth})
     law: ExtendedLaw = like.law

@@ -19,6 +19,9 @@ Array = npt.NDArray[Any]
 
 PERIODS_H: Final = (1.1, 2.8)
 PLAUSIBLE_H: Final = (1.15, 2.65)
+LEAST_CM: Final = 0.12
+_ABOUT: Final = 0.2
+_AMPLITUDE_SHARE: Final = 0.08
 PER_HOUR: Final = 1.0 / 140.0
 """Distance of the frequencies that are tried, 1/h: two runs of three days tell them apart."""
 COHERENCE_H: Final = (6.0, 30.0)
@@ -161,26 +164,45 @@ def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swi
     best = int(np.argmax(likelihood.max(axis=(1, 2))))
     top = likelihood[best]
     weights = np.exp(top - top.max())
-    by_period, by_amplitude = weights.sum(axis=1), weights.sum(axis=0)
+    by_period = weights.sum(axis=1)
     period = _middle(1.0 / tried[::-1], by_period[::-1])
-    amplitude = _middle(_AMPLITUDES_CM, by_amplitude)
+    amplitude_cm, interval_cm = _amplitude(spectra, usual_power, 1.0 / period[1])
     return Swing(
         period_h=period[1],
-        amplitude_cm=amplitude[1],
+        amplitude_cm=amplitude_cm,
         coherence_h=COHERENCE_H[best],
         evidence=float(top.max()) - LOOKED - 1.0,
         period_interval_h=(period[0], period[2]),
-        amplitude_interval_cm=(amplitude[0], amplitude[2]),
+        amplitude_interval_cm=interval_cm,
     )
 
 
+def _amplitude(
+    spectra: Sequence[Spectrum], usual_power: Sequence[Array], per_hour: float
+) -> tuple[float, tuple[float, float]]:
+    """Amplitude of a swing, cm, with its interval of 90 %: from all the power about its frequency that is not usual.
+
+    Its line is as wide as its phase drifts and its size grows, which no shape of a line would know beforehand.
+    """
+    squares = []
+    for own, expected in zip(spectra, usual_power, strict=True):
+        near = np.abs(np.log(own.per_hour / per_hour)) < _ABOUT
+        spacing = float(own.per_hour[1] - own.per_hour[0])
+        squares.append(4.0 * spacing * float((own.power[near] - expected[near]).sum()))
+    amplitude = float(np.sqrt(max(np.mean(squares), 1e-8)))
+    own_cm = np.sqrt(np.maximum(np.array(squares), 1e-8))
+    sd = float(np.hypot(np.std(own_cm) / np.sqrt(max(len(own_cm) - 1, 1)), _AMPLITUDE_SHARE * amplitude))
+    return amplitude, (max(0.0, amplitude - 1.645 * sd), amplitude + 1.645 * sd)
+
+
 def is_plausible(swing: Swing) -> bool:
-    """Whether its period lies within what was looked at, not at the edge: beyond it are other things."""
-    return PLAUSIBLE_H[0] <= swing.period_h <= PLAUSIBLE_H[1]
+    """Whether it can be one: its period not at the edge of what was looked at, its size not that of an error."""
+    return PLAUSIBLE_H[0] <= swing.period_h <= PLAUSIBLE_H[1] and swing.amplitude_cm >= LEAST_CM
 
 
 def _middle(values: Array, weights: Array) -> tuple[float, float, float]:
     """5 %, mean and 95 % of a distribution on a grid."""
-    share = np.cumsum(weights) / weights.sum()
+    # Half of what lies on a place of the grid lies before it: all of it may be there.
+    share = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
     low, high = np.interp([0.05, 0.95], share, values)
     return float(low), float(values @ weights / weights.sum()), float(high)

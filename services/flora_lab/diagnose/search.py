@@ -60,6 +60,15 @@ def forms_of(effect: Effect) -> Iterator[Cause]:
 
 
 def _starts(parameters: Sequence[Parameter]) -> Iterator[Array]:
-    """Coordinates from which to set out: where there is no effect, and every combination of the starts told."""
+    """Coordinates from which to set out: every combination of the starts told, and no effect of every kind.
+
+    From no effect what only changes a plant's constants is found at once, since there all is linear; from far away what
+    is not.
+    """
+    strength = next(i for i, p in enumerate(parameters) if p.none is not None)
     told = [[p.coordinate(value) for value in p.starts] or [p.centre] for p in parameters]
-    return (np.array(chosen) for chosen in itertools.product(*told))
+    for chosen in itertools.product(*told):
+        yield np.array(chosen)
+    none = [[p.centre] if i == strength else told[i] for i, p in enumerate(parameters)]
+    for chosen in itertools.product(*none):
+        yield np.array(chosen)

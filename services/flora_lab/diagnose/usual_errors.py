@@ -8,6 +8,7 @@ scatter than chance lets them, belong into the null hypothesis: an effect in oth
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -25,7 +26,17 @@ _EXPECTED: Final = 0.05
 """Scatter that is expected before any data, in standard deviations of what is plausible for the effect; it counts as
 much as :data:`_STRENGTH` runs."""
 _STRENGTH: Final = 3.0
+_OF_INDIVIDUALS: Final = (
+    "growth_rate",
+    "stiffening",
+    "gravitropism",
+    "proprioception",
+    "phototropic_gain",
+    "time_scale",
+)
+"""Effects on what plants differ in anyway: by how much they do is known of the base, and is not counted twice."""
 _FARTHEST: Final = 3.0
+_MANY: Final = 1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +105,19 @@ class UsualErrors:
         while _log_odds(away, wide, 0.0, before) > gain and wide < before:
             wide *= 1.1
         scatter = self.sd[at] ** 2 * (1.0 / together + 1.0 / self.runs)
-        change = _log_odds(away, wide, 0.0, before) - _log_odds(away, wide + scatter, float(self.mean[at]), before)
-        return gain - change
+        # How wide healthy runs scatter is told by a few runs: Student's tails, with Welch and Satterthwaite's freedom.
+        freedom = max(1, self.runs - 1) * ((wide + scatter) / max(scatter, 1e-12)) ** 2
+        beyond = _log_odds(away, wide + scatter, float(self.mean[at]), before, freedom)
+        return gain - _log_odds(away, wide, 0.0, before) + beyond
 
 
-def _log_odds(away: float, variance: float, usual: float, spread_2: float) -> float:
+def _log_odds(away: float, variance: float, usual: float, spread_2: float, freedom: float = math.inf) -> float:
     """Logarithm of how much more probable an estimate is with the effect than without it."""
     wide = variance + spread_2
     with_it = -0.5 * np.log(wide) - 0.5 * (away - usual) ** 2 / wide
-    without = -0.5 * np.log(variance) - 0.5 * (away - usual) ** 2 / variance
+    far = (away - usual) ** 2 / variance
+    tail = -0.5 * far if freedom > _MANY else -0.5 * (freedom + 1.0) * np.log1p(far / freedom)
+    without = -0.5 * np.log(variance) + tail
     return float(with_it - without)
 
 
@@ -125,9 +140,9 @@ def usual_errors(joints: Sequence[Joint], fits: Sequence[Found], has_temperature
         effect = by_name[name]
         p = effect.parameters[strength_of(effect)]
         expected = _EXPECTED * p.spread
-        if name == "temperature_growth" and not has_temperature:
+        if name in _OF_INDIVIDUALS or (name == "temperature_growth" and not has_temperature):
             mean.append(0.0)
-            sd.append(expected)
+            sd.append(0.0 if name in _OF_INDIVIDUALS else expected)
             continue
         cause, own = Cause(effect, form), strength_of(effect)
         means, wide = zip(

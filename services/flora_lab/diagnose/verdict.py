@@ -12,7 +12,8 @@ import scipy.special
 import scipy.stats
 
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
-from flora_lab.diagnose.explain import CLAIM, SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.explain import SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.joint import Cause, Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Effect, Parameter
@@ -26,6 +27,7 @@ ALIKE: Final = 4.0
 """Nats within which a cause is not told from a better one."""
 INSEPARABLE: Final = 12.0
 """The same for causes that light and track can never tell apart: what is between them is the shape of a prior."""
+_EXACTLY: Final = 0.6
 NOTHING_FIRST: Final = 20.0
 """How many times more probable no cause is than any certain one, before any data."""
 WIDER: Final = 1.3
@@ -129,12 +131,10 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
     """The causes, surest first."""
     found = explanation.found
     out: list[NamedCause] = []
-    values, at = found.values(), 0
-    chosen = iter(zip(found.hypothesis.causes, values, strict=True))
-    for stage in explanation.stages:
-        best = stage.tried[0]
-        if best.gain < CLAIM or len(out) == len(found.hypothesis.causes) + (explanation.swing is not None):
-            break
+    values = dict(zip(found.hypothesis.names(), found.values(), strict=True))
+    places = _places(found)
+    for one in explanation.accepted:
+        best, stage = one.tried, one.stage
         alike = _alike(stage)
         sure = _confidence(stage, alike)
         if left.is_much:
@@ -149,13 +149,10 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
             }
             form = 0
         else:
-            cause, parameters = next(chosen)
-            q = len(cause.parameters)
-            interval = _intervals(
-                cause.parameters, found.coordinates[at : at + q], found.covariance[at : at + q, at : at + q]
-            )
-            parameters = {p.name: _told(p, parameters[p.name]) for p in cause.parameters}
-            at, form = at + q, cause.form
+            cause, own = places[best.effect.name]
+            interval = _intervals(cause.parameters, found.coordinates[own], found.covariance[own, own])
+            parameters = {p.name: _told(p, values[best.effect.name][p.name]) for p in cause.parameters}
+            form = cause.form
         out.append(
             NamedCause(
                 effect=best.effect.name,
@@ -172,6 +169,15 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
     return sorted(out, key=lambda cause: -cause.confidence)
 
 
+def _places(found: Found) -> dict[str, tuple[Cause, slice]]:
+    """Where the coordinates of each cause stand."""
+    out, at = {}, 0
+    for cause in found.hypothesis.causes:
+        out[cause.effect.name] = (cause, slice(at, at + len(cause.parameters)))
+        at += len(cause.parameters)
+    return out
+
+
 def _alike(stage: Stage) -> list[Tried]:
     """What these runs cannot tell from the best."""
     best = stage.tried[0]
@@ -179,7 +185,8 @@ def _alike(stage: Stage) -> list[Tried]:
     for other in stage.tried[1:]:
         behind = best.gain - other.gain
         same = other.effect.name in best.effect.same_as or best.effect.name in other.effect.same_as
-        if (behind < ALIKE and other.gain > 0.0) or (same and behind < INSEPARABLE):
+        near = (behind < ALIKE and other.gain > 0.0) or (same and behind < INSEPARABLE)
+        if near or (other.effect.name in best.effect.exactly and other.gain > _EXACTLY * best.gain):
             out.append(other)
     return out
 

@@ -36,4 +36,5 @@ EFFECT: Final = Effect(
     forms=(act,),
     sentence=sentence,
     same_as={"phototropic_latency": "a picture that shows the lamps change, with its time"},
+    exactly=frozenset({"phototropic_latency"}),
 )

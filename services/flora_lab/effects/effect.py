@@ -121,6 +121,7 @@ class Effect:
         parameters: what it has.
         forms: ways in which nature may do it; each writes its change. The data choose between them.
         same_as: effects that no track and light can tell from it, with what would.
+        exactly: those of them that are the same in every light, to the last digit.
         sentence: what it means, given its values.
         prior: how much more often it is met than another one, before any data.
     """
@@ -132,6 +133,7 @@ class Effect:
     forms: tuple[Callable[[Change, Values], None], ...]
     sentence: Callable[[Values], str]
     same_as: Mapping[str, str] = field(default_factory=dict)
+    exactly: frozenset[str] = frozenset()
     prior: float = 1.0
 
     @property

@@ -37,4 +37,5 @@ EFFECT: Final = Effect(
     forms=(act,),
     sentence=sentence,
     same_as={"clock_offset": "a picture that shows the lamps change, with its time"},
+    exactly=frozenset({"clock_offset"}),
 )

@@ -1,0 +1,71 @@
+"""A few hidden effects, drawn by seeds fixed beforehand, have to be found; healthy runs must be left alone.
+
+`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from flora_lab.diagnose.diagnosis import NamedCause, Verdict
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.inputs import read_reference, read_runs
+from flora_lab.diagnose.knowledge import learn_from
+from flora_lab.diagnose.verdict import left_of, named, verdict_of
+from flora_lab.threads import one_blas_thread
+
+from .scoring import SAME
+from .worlds.case import draw_case
+from .worlds.writing import write_case
+
+HIDDEN = ((0, 7_001), (0, 7_002), (0, 7_003), (1, 7_004))
+"""Form of the physics, and seed; which effect it is follows from the seed."""
+NOTHING = ((0, 7_101), (1, 7_102))
+LEAST_RIGHT = 3
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden, and what was found."""
+
+    hidden: frozenset[str]
+    verdict: Verdict
+    causes: list[NamedCause]
+
+    @property
+    def is_right(self) -> bool:
+        if not self.causes:
+            return False
+        first = self.causes[0]
+        if first.effect in self.hidden:
+            return True
+        return bool(self.hidden & SAME) and first.effect in SAME and bool(set(first.confusable_with) & self.hidden)
+
+
+def _answer(form: int, seed: int, kind: str, folder: Path) -> Answer:
+    case = draw_case(seed, form=form, kind=kind)
+    write_case(case, folder)
+    runs = read_runs(sorted((folder / "measured").iterdir()))
+    reference = read_reference(folder / "reference", runs)
+    usual_c = reference.usual_temperature_c()
+    with one_blas_thread():
+        known = learn_from(reference.scenes(usual_c))
+        explanation = Explainer(runs.scenes(usual_c), known).explain()
+    left = left_of(explanation, known)
+    causes = named(explanation, left)
+    return Answer(frozenset(hidden.name for hidden in case.hidden), verdict_of(causes, left), causes)
+
+
+def test_most_hidden_effects_are_named_first(tmp_path: Path) -> None:
+    answers = [_answer(form, seed, "single", tmp_path / f"{form}-{seed}") for form, seed in HIDDEN]
+    told = [f"{sorted(a.hidden)}: {a.verdict} {[c.effect for c in a.causes]}" for a in answers]
+    assert sum(answer.is_right for answer in answers) >= LEAST_RIGHT, told
+
+
+@pytest.mark.parametrize(("form", "seed"), NOTHING)
+def test_healthy_runs_are_left_alone(form: int, seed: int, tmp_path: Path) -> None:
+    answer = _answer(form, seed, "none", tmp_path / "case")
+    assert answer.verdict == "nothing_wrong", [c.evidence for c in answer.causes]
