@@ -104,7 +104,7 @@ DOES: list[Does] = [
     ("sag", 0, {"amplitude": 0.7}, RIGHT_12H, UP, -1),
     ("draught", 0, {"drive_per_cm_h": 0.1}, lit((12.0, DARK)), SIDEWAYS, +1),
     ("draught", 0, {"drive_per_cm_h": -0.1}, lit((12.0, DARK)), SIDEWAYS, -1),
-    ("time_scale", 0, {"factor": 3.0}, lit((12.0, DARK)), UP, +1),
+    ("time_scale", 0, {"factor": 3.0}, lit((12.0, DARK)), UP, -1),
 ]
 
 

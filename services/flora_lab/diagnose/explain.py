@@ -19,10 +19,13 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 6.0
+CLAIM: Final = 7.0
 """Nats of evidence that a cause needs beyond none."""
-MORE: Final = 8.0
-"""Nats that each further cause needs."""
+MORE: Final = 12.0
+"""Nats that each further cause needs, ..."""
+MORE_SHARE: Final = 0.04
+"""... and this share of what the strongest cause came to: a term is never quite what nature does, and what is left of a
+strong effect looks like a weak other one."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 _RESTARTS: Final = 2
@@ -128,7 +131,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < (MORE if accepted else CLAIM) or len(accepted) == MOST_CAUSES:
+            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES:
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -139,6 +142,12 @@ class Explainer:
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint)
+
+    @staticmethod
+    def _needed(accepted: Sequence[Accepted]) -> float:
+        """Nats that the next cause must come to."""
+        strongest = max((a.tried.gain for a in accepted if a.tried.swing is None), default=0.0)
+        return max(MORE, MORE_SHARE * strongest) if accepted else CLAIM
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""

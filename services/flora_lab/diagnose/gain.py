@@ -21,6 +21,7 @@ from flora_lab.diagnose.joint import Base, Found, Joint
 from flora_lab.diagnose.replayed import Replayed, replayed
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import Change
 
 Array = npt.NDArray[Any]
@@ -71,6 +72,7 @@ def measure_gain(
     explanation: Explanation,
     holdout: Sequence[Scene] = (),
     on_step: Callable[[], None] = lambda: None,
+    errors: UsualErrors | None = None,
 ) -> Gain:
     """Errors of the base and of the extended simulator, of a black box and of a stem that does not move.
 
@@ -80,6 +82,7 @@ def measure_gain(
         explanation: of them.
         holdout: further runs, to judge by; without them each run is judged by what the others tell.
         on_step: called after each run.
+        errors: how much of every effect healthy runs seem to show; without it causes are compared by evidence alone.
 
     Returns:
         Nothing but a sentence where no cause was found, or where there is no run to judge by.
@@ -97,7 +100,7 @@ def measure_gain(
         judged_on = f"{_runs(len(holdout))} held out, which neither the choice of the causes nor the fit has seen"
     elif count > 1:
         runs = list(scenes)
-        folds, other = _left_out(explanation)
+        folds, other = _left_out(explanation, errors)
         judged_on = (
             f"each of {_runs(count)} by what the others tell: parameters were fitted anew without it, and the chosen "
             f"causes had to win again over their {RIVALS} strongest rivals"
@@ -107,36 +110,52 @@ def measure_gain(
     else:
         return Gain(judged_on="not judged: there is one run, and none to hold out; give more runs, or --holdout")
     as_it_is = [replayed(scene, base, base.mean, base.mean, np.zeros(2), Change()) for scene in runs]
-    errors: dict[str, list[_Errors]] = {name: [] for name in SIMULATORS}
+    wrong: dict[str, list[_Errors]] = {name: [] for name in SIMULATORS}
     for fold in folds:
         box = boosting.learned([runs[i] for i in fold.learned_from], [as_it_is[i] for i in fold.learned_from])
         for i in fold.judged:
             for name, own in _judged(runs[i], as_it_is[i], base, fold.change, box).items():
-                errors[name].append(own)
+                wrong[name].append(own)
             on_step()
-    return _gain(errors, judged_on)
+    return _gain(wrong, judged_on)
 
 
-def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
+def _left_out(explanation: Explanation, errors: UsualErrors | None) -> tuple[list[Fold], int]:
     """A fold for each run, and in how many of them a rival won."""
-    runs, base = explanation.joint.runs, explanation.joint.base
-    stage = last_choice(explanation)
-    tried = [] if stage is None else [stage.tried[0], *rivals(explanation)[:RIVALS]]
-    # What a cause's evidence is worth beyond its fit was found with all runs, and is kept.
-    worth = [one.gain - one.found.evidence for one in tried if one.found is not None]
-    starts = [explanation.found, *(one.found for one in tried[1:] if one.found is not None)]
-    folds, other = [], 0
+    runs, stage = explanation.joint.runs, last_choice(explanation)
+    if stage is None:
+        return [], 0
+    others = [tried.found for tried in rivals(explanation)[:RIVALS] if tried.found is not None]
+    folds, won = [], 0
     for out in range(len(runs)):
         rest = [i for i in range(len(runs)) if i != out]
-        joint = Joint([runs[i] for i in rest], base)
-        fits = [
-            joint.fit(Found(one.hypothesis, one.coordinates, one.traits[rest], one.start[rest]), _STEPS)
-            for one in starts
-        ]
-        best = max(range(len(fits)), key=lambda k: fits[k].evidence + worth[k])
-        other += best != 0
-        folds.append(Fold(tuple(rest), (out,), fits[best].hypothesis.change(fits[best].coordinates)))
-    return folds, other
+        joint = Joint([runs[i] for i in rest], explanation.joint.base)
+        before, *fits = [_fitted(joint, rest, one) for one in (stage.before, explanation.found, *others)]
+        chosen = fits[0]
+        for fit in fits[1:]:
+            if _is_better(before, fit, chosen, errors, len(rest)):
+                chosen = fit
+        won += chosen is not fits[0]
+        folds.append(Fold(tuple(rest), (out,), chosen.hypothesis.change(chosen.coordinates)))
+    return folds, won
+
+
+def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
+    """The same causes for some of the runs."""
+    return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
+
+
+def _is_better(before: Found, one: Found, other: Found, errors: UsualErrors | None, runs: int) -> bool:
+    """Whether there is more evidence for the last cause of one fit than for that of another, by every account."""
+    gains = [_evidence(before, fit) for fit in (one, other)]
+    if errors is None or gains[0] <= gains[1]:
+        return gains[0] > gains[1]
+    return errors.beyond(one, gains[0], runs) > errors.beyond(other, gains[1], runs)
+
+
+def _evidence(before: Found, fit: Found) -> float:
+    effect = fit.hypothesis.causes[-1].effect
+    return float(fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior))
 
 
 def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.Learned) -> dict[str, _Errors]:

@@ -151,9 +151,9 @@ def separating(
         scene = planned(scenes, schedule)
         parts = chance.covariances(scene, scene.answers(base.mean, Change()))
         run = ready(scene, base, parts, together=1, swing=swing)
-        typical = {candidate.name: _typical(run, base, candidate) for candidate in candidates}
+        shown = {candidate.name: typical(run, base, candidate) for candidate in candidates}
         for a, b in pairs:
-            nats = lost(run, base, typical[a.name], b) + lost(run, base, typical[b.name], a)
+            nats = lost(run, base, shown[a.name], b) + lost(run, base, shown[b.name], a)
             told[a.name, b.name][schedule.name] = 0.5 * nats
     return told
 
@@ -175,7 +175,7 @@ def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
     return Scene(run, law, 0.0)
 
 
-def _typical(run: Ready, base: Base, candidate: Candidate) -> Array:
+def typical(run: Ready, base: Base, candidate: Candidate) -> Array:
     """What a typical plant would show in a run under a cause, shape (m + 2,)."""
     found = candidate.found
     at = Found(found.hypothesis, found.coordinates, base.mean[None], np.zeros((1, 2)))

@@ -20,6 +20,8 @@ GAP_H: Final = 0.5
 _ABOUT_ROWS: Final = 7
 _LEAST_JUMP_CM: Final = 0.6
 _JUMP_MADS: Final = 12.0
+_ROUGH_SHARE: Final = 0.12
+"""Of how far a tip is from those about it; a swing leaves half as much, the jump of one tip twice as much, or more."""
 _STUCK_H: Final = 2.0
 _MAD_SD: Final = 1.4826
 
@@ -61,11 +63,15 @@ def _jumps(run: MeasuredRun) -> Array:
         return out
     own = tips[rows]
     half = _ABOUT_ROWS // 2
-    padded = np.pad(own, ((half, half), (0, 0)), mode="edge")
-    about = np.median(np.lib.stride_tricks.sliding_window_view(padded, _ABOUT_ROWS, axis=0), axis=-1)
-    away = np.hypot(*(own - about).T)
+    padded = np.pad(own, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    around = np.lib.stride_tricks.sliding_window_view(padded, _ABOUT_ROWS, axis=0)
+    away = np.hypot(*(own - np.median(around, axis=-1)).T)
     usual = _MAD_SD * float(np.median(away))
-    out[rows] = away > max(_LEAST_JUMP_CM, _JUMP_MADS * usual)
+    is_far = away > max(_LEAST_JUMP_CM, _JUMP_MADS * usual)
+    # A wide swing turns back within minutes, too, but smoothly: a parabola runs through it, and through no jump.
+    parabolas = np.linalg.qr(np.vander(np.arange(_ABOUT_ROWS, dtype=np.float64) - half, 3))[0]
+    rough = np.sqrt(np.mean((around - around @ parabolas @ parabolas.T) ** 2, axis=-1).sum(axis=-1))
+    out[rows] = is_far & (rough > _ROUGH_SHARE * away)
     return out
 
 

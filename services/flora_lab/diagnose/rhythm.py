@@ -8,6 +8,7 @@ are tried, and the price of having looked at so many is paid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -189,7 +190,7 @@ def _amplitude(
         near = np.abs(np.log(own.per_hour / per_hour)) < _ABOUT
         spacing = float(own.per_hour[1] - own.per_hour[0])
         squares.append(4.0 * spacing * float((own.power[near] - expected[near]).sum()))
-    amplitude = float(np.sqrt(max(np.mean(squares), 1e-8)))
+    amplitude = math.sqrt(max(float(np.mean(squares)), 1e-8))
     own_cm = np.sqrt(np.maximum(np.array(squares), 1e-8))
     sd = float(np.hypot(np.std(own_cm) / np.sqrt(max(len(own_cm) - 1, 1)), _AMPLITUDE_SHARE * amplitude))
     return amplitude, (max(0.0, amplitude - 1.645 * sd), amplitude + 1.645 * sd)

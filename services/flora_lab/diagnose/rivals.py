@@ -6,14 +6,13 @@ from flora_lab.diagnose.explain import Explanation, Stage, Tried
 
 
 def last_choice(explanation: Explanation) -> Stage | None:
-    """The stage at which the last cause of the explanation was chosen; None where there is no cause."""
-    names = explanation.found.hypothesis.names()
-    for stage in explanation.stages:
-        if len(stage.before.hypothesis.causes) == len(names) - 1 and stage.tried:
-            first = stage.tried[0].found
-            if first is not None and first.hypothesis.names() == names:
-                return stage
-    return None
+    """Where the last cause of the explanation was chosen, that cause first; None where there is none but a swing."""
+    chosen = [accepted for accepted in explanation.accepted if accepted.tried.found is not None]
+    if not chosen:
+        return None
+    last = chosen[-1]
+    others = tuple(tried for tried in last.stage.tried if tried.effect.name != last.tried.effect.name)
+    return Stage(last.stage.before, (last.tried, *others))
 
 
 def rivals(explanation: Explanation) -> list[Tried]:

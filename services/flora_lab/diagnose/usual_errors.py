@@ -8,7 +8,6 @@ scatter than chance lets them, belong into the null hypothesis: an effect in oth
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -36,7 +35,6 @@ _OF_INDIVIDUALS: Final = (
 )
 """Effects on what plants differ in anyway: by how much they do is known of the base, and is not counted twice."""
 _FARTHEST: Final = 3.0
-_MANY: Final = 1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,19 +103,15 @@ class UsualErrors:
         while _log_odds(away, wide, 0.0, before) > gain and wide < before:
             wide *= 1.1
         scatter = self.sd[at] ** 2 * (1.0 / together + 1.0 / self.runs)
-        # How wide healthy runs scatter is told by a few runs: Student's tails, with Welch and Satterthwaite's freedom.
-        freedom = max(1, self.runs - 1) * ((wide + scatter) / max(scatter, 1e-12)) ** 2
-        beyond = _log_odds(away, wide + scatter, float(self.mean[at]), before, freedom)
-        return gain - _log_odds(away, wide, 0.0, before) + beyond
+        known = _log_odds(away, wide + scatter, float(self.mean[at]), before)
+        return gain - _log_odds(away, wide, 0.0, before) + known
 
 
-def _log_odds(away: float, variance: float, usual: float, spread_2: float, freedom: float = math.inf) -> float:
+def _log_odds(away: float, variance: float, usual: float, spread_2: float) -> float:
     """Logarithm of how much more probable an estimate is with the effect than without it."""
     wide = variance + spread_2
     with_it = -0.5 * np.log(wide) - 0.5 * (away - usual) ** 2 / wide
-    far = (away - usual) ** 2 / variance
-    tail = -0.5 * far if freedom > _MANY else -0.5 * (freedom + 1.0) * np.log1p(far / freedom)
-    without = -0.5 * np.log(variance) + tail
+    without = -0.5 * np.log(variance) - 0.5 * (away - usual) ** 2 / variance
     return float(with_it - without)
 
 

@@ -35,6 +35,7 @@ WIDER: Final = 1.3
 LAW_SHARE: Final = 0.04
 _90: Final = 1.645
 _LEFT_P: Final = 0.003
+_MOSTLY: Final = 0.8
 _UNSURE: Final = 0.5
 """Confidence that a cause keeps at most where much is left unexplained."""
 
@@ -46,15 +47,20 @@ class Left:
     Attributes:
         share: mean square of what is left over that of reference runs by themselves.
         p_value: how often reference runs would leave as much.
+        explained: share of what the simulator as it is leaves beyond what is usual, that the causes take away.
     """
 
     share: float
     p_value: float
+    explained: float
 
     @property
     def is_much(self) -> bool:
-        """Whether something else must be at work."""
-        return self.p_value < _LEFT_P
+        """Whether something else must be at work.
+
+        A little is left of every strong effect, because no term is quite what nature does.
+        """
+        return self.p_value < _LEFT_P and self.explained < _MOSTLY
 
 
 def left_of(explanation: Explanation, known: Knowledge) -> Left:
@@ -71,7 +77,13 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
         t = (mine.mean() - usual.mean()) / (sd * np.sqrt(1.0 / len(mine) + 1.0 / len(usual)))
         p_values.append(float(scipy.stats.t.sf(t, len(usual) - 1)))
         shares.append(float(np.exp(mine.mean() - usual.mean())))
-    return Left(shares[0], min(1.0, min(p_values) * len(p_values)))
+    healthy = float(known.left[:, 0].mean())
+    before, after = (
+        max(0.0, float(np.mean([np.mean(r**2) for r in fit.residuals])) - healthy)
+        for fit in (explanation.null, explanation.found)
+    )
+    explained = 1.0 - after / before if before > 0.0 else 0.0
+    return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained)
 
 
 _LEAST_SD: Final = 0.10
@@ -186,9 +198,21 @@ def _alike(stage: Stage) -> list[Tried]:
         behind = best.gain - other.gain
         same = other.effect.name in best.effect.same_as or best.effect.name in other.effect.same_as
         near = (behind < ALIKE and other.gain > 0.0) or (same and behind < INSEPARABLE)
-        if near or (other.effect.name in best.effect.exactly and other.gain > _EXACTLY * best.gain):
+        if near or (other.effect.name in best.effect.exactly and _is_as_good(best, other)):
             out.append(other)
     return out
+
+
+def _is_as_good(best: Tried, other: Tried) -> bool:
+    """Whether what is the same as the best one could be it, too; a delay cannot be less than none.
+
+    By the fits themselves: what healthy runs show of either is not told exactly enough where there are many nats.
+    """
+    if other.gain > _EXACTLY * best.gain:
+        return True
+    if best.found is None or other.found is None:
+        return False
+    return other.found.evidence > best.found.evidence - INSEPARABLE
 
 
 def _confidence(stage: Stage, alike: Sequence[Tried]) -> float:
@@ -216,8 +240,9 @@ def _intervals(
     for i, p in enumerate(parameters):
         away = abs(float(coordinates[i]) - p.centre) if p.none is not None else 0.0
         half = _90 * float(np.hypot(WIDER * np.sqrt(max(covariance[i, i], 0.0)), LAW_SHARE * away))
-        low, high = p.value(float(coordinates[i]) - half), p.value(float(coordinates[i]) + half)
-        out[p.name] = (low, high)
+        # On a clock, about the hour that is told: before 0 or after 24 where it must be.
+        middle = _told(p, float(coordinates[i]))
+        out[p.name] = (p.value(middle - half), p.value(middle + half))
     return out
 
 

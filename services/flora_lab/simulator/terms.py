@@ -37,7 +37,7 @@ from flora_lab.simulator.rod import (
     points_lane,
     whole_registers,
 )
-from flora_lab.simulator.tropism import MATURE, MATURE_EDGE_CM, PROPRIO, STIFFENING, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism import MATURE, MATURE_EDGE_CM, PROPRIO, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
 
@@ -57,6 +57,9 @@ _ADAPTED, _CLOCK, _LINE = 2, 3, 4
 hours of which the delay line was told; the delay line, one row of lamp levels per five minutes."""
 MEMORY: Final = (_LINE + _SLOTS, 2)
 
+SOFTNESS_CM: Final = 5.0
+"""E-fold of elastic softness with distance from the tip; of the modulus it is 5.0 cm (3.5-6.3), Ohad et al., 54 plants.
+How far from the tip a stem still bends by growing is another matter, and fitted."""
 _DAY_H: Final = 24.0
 _LIT: Final = 1e-6
 _ROUNDING: Final = 1e-9
@@ -185,7 +188,7 @@ def extended_step_lane(
     before, taken = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     deep, soft = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     if t[SAG] != 0.0:
-        _elastic(length, angle, n, p[STIFFENING], t[SAG], deep, soft, before)
+        _elastic(length, angle, n, SOFTNESS_CM, t[SAG], deep, soft, before)
         _taken(n, p, before, deep, soft, dt_h * activity, taken)
     segments = driven_step_lane(
         length,
@@ -206,7 +209,7 @@ def extended_step_lane(
     # A step in which segments were split has no elastic part: joints before and after it are others.
     if t[SAG] != 0.0 and segments == n:
         now = scratch(np.float64, CAPACITY)
-        _elastic(length, angle, n, p[STIFFENING], t[SAG], deep, soft, now)
+        _elastic(length, angle, n, SOFTNESS_CM, t[SAG], deep, soft, now)
         turn = 0.0
         for j in range(n):
             turn += now[j] - before[j] + taken[j]
