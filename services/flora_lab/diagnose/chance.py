@@ -56,11 +56,12 @@ PARTS: Final = (
     Part("growth_rhythm_share", "growth", 1e6, 0.04, 1.0, DAY_H),
     Part("gain_fast_share", "gain", 3.0, 0.04),
     Part("gain_slow_share", "gain", 16.0, 0.04),
-    Part("measure_cm", "measure", 0.0, 0.02),
+    Part("measure_cm", "measure", 0.0, 0.04),
     Part("wobble_cm", "measure", 2.0, 0.03),
     Part("wobble_slow_cm", "measure", 12.0, 0.02),
 )
-SMALLEST_MEASURE_CM: Final = 0.005
+SMALLEST_MEASURE_CM: Final = 0.03
+"""However well stems are measured: the law itself, and what is taken for linear about a plant, are no better."""
 _SWINGS: Final = np.array([1.0, 0.25, 0.5, 0.15, 0.03])
 """How much of the tip's swing each feature has."""
 _SWING_MARGIN: Final = 1.3

@@ -38,11 +38,12 @@ def diagnose(
 ) -> None:
     """What the simulation gets wrong about measured runs: shown, named, mended, and the gain measured.
 
-    Give either --simulator or --reference. What is learned from --reference is kept as base.simulator in the folder,
-    and can be given as --simulator the next time.
+    What is learned from --reference is kept as base.simulator in the folder, and can be given as --simulator the next
+    time. A simulator that was learned as a black box has no parts with names: it is judged as a whole, and given
+    --reference too, what is found by the mechanistic one beside it corrects it.
     """
-    if (simulator is None) == (reference is None):
-        raise BadInput("give either --simulator SIM or --reference RUNS_DIR: what the runs are to be compared with")
+    if simulator is None and reference is None:
+        raise BadInput("give --simulator SIM or --reference RUNS_DIR: what the runs are to be compared with")
     folder = _module("folder")
     folder.check(output)
     with _progress(quiet or as_json) as (stage, note):

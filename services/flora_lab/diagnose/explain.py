@@ -170,7 +170,7 @@ class Explainer:
         """All causes that are not yet in, on top of those that are, best first."""
         there = set(before.hypothesis.names())
         tried: list[Tried] = []
-        effects = [e for e in CATALOGUE if e.name != SWING and e.name not in there and self._may_be(e)]
+        effects = [e for e in CATALOGUE if e.forms and e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
             tried.append(Tried(effect, self._gain(before, effect, fit), fit))
         tried.sort(key=lambda t: -t.gain)

@@ -24,6 +24,7 @@ from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page
 from flora_lab.diagnose.schedules import CHOICE, write_experiment
 from flora_lab.diagnose.work import Result
+from flora_lab.simulator.store import write_simulator
 
 JSON_FILE: Final = "diagnosis.json"
 PAGE_FILE: Final = "report.html"
@@ -59,7 +60,9 @@ def write(path: Path, result: Result) -> None:
         start = result.start
         if start.is_new:
             stored_base.write_known(folder / BASE, start.simulator, start.known, start.provenance)
-        if result.extensions:
+        if result.corrected is not None:
+            _write_corrected(folder / EXTENDED, result)
+        elif result.extensions:
             stored_base.write_known(
                 folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions
             )
@@ -68,6 +71,21 @@ def write(path: Path, result: Result) -> None:
         chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
         if chosen is not None:
             write_experiment(folder / EXPERIMENT, chosen, hours=_HOURS, why=asked.why)
+
+
+def _write_corrected(path: Path, result: Result) -> None:
+    """A learned simulator beside which the mechanistic one adds what it lacks."""
+    simulator = result.corrected
+    assert simulator is not None
+    write_simulator(
+        path,
+        kind=simulator.kind,
+        step_s=simulator.step_s,
+        weights=simulator.weights(),
+        scales=simulator.scales(),
+        provenance=result.start.provenance,
+        extensions=simulator.extensions,
+    )
 
 
 def as_json(result: Result) -> bytes:

@@ -161,7 +161,7 @@ def separating(
 def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
     """A run that was not made yet: as long and as warm as the first one, of a plant that starts as they did."""
     like = max(scenes, key=lambda scene: scene.steps)
-    steps = round(like.steps * like.step_h * 3600.0 / STEP_S)
+    steps = round((len(like.run) - 1) * like.run.step_s / STEP_S)
     step_h = STEP_S / 3600.0
     first_cm = np.mean([scene.first_cm for scene in scenes], axis=0)
     points = np.repeat(first_cm[None], steps + 1, axis=0).astype(np.float64)

@@ -20,8 +20,8 @@ GAP_H: Final = 0.5
 _ABOUT_ROWS: Final = 7
 _LEAST_JUMP_CM: Final = 0.6
 _JUMP_MADS: Final = 12.0
-_ROUGH_SHARE: Final = 0.12
-"""Of how far a tip is from those about it; a swing leaves half as much, the jump of one tip twice as much, or more."""
+_ROUGH_SHARE: Final = 0.22
+"""Of how far a tip is from those about it: what a parabola leaves of a jump is 0.27 of it or more, of a swing less."""
 _STUCK_H: Final = 2.0
 _MAD_SD: Final = 1.4826
 

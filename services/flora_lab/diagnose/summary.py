@@ -8,13 +8,10 @@ from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME
 
-TITLES = {"memory": "A simulator without memory"}
-"""Causes that only a learned simulator can have."""
-
 
 def title(effect: str) -> str:
     """For people."""
-    return BY_NAME[effect].title if effect in BY_NAME else TITLES.get(effect, effect)
+    return BY_NAME[effect].title
 
 
 def summary(causes: Sequence[NamedCause], left: Left) -> str:

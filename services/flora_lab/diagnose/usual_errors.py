@@ -99,12 +99,27 @@ class UsualErrors:
         seen = told(found)
         away, before = seen.value - p.centre, p.spread**2
         # Far from no effect nothing is linear any more: as wide as the evidence that was really found makes it.
-        wide = seen.variance
-        while _log_odds(away, wide, 0.0, before) > gain and wide < before:
-            wide *= 1.1
+        wide = _as_wide_as(away, gain, seen.variance, before)
         scatter = self.sd[at] ** 2 * (1.0 / together + 1.0 / self.runs)
         known = _log_odds(away, wide + scatter, float(self.mean[at]), before)
         return gain - _log_odds(away, wide, 0.0, before) + known
+
+
+def _as_wide_as(away: float, gain: float, variance: float, spread_2: float) -> float:
+    """The variance at which an estimate has this evidence; its own where it has no more than that with it.
+
+    It is found to the last digit: where there are hundreds of nats, a tenth of them would be a claim.
+    """
+    least, most = variance, max(variance, spread_2)
+    if _log_odds(away, least, 0.0, spread_2) <= gain:
+        return least
+    for _ in range(60):
+        middle = float(np.sqrt(least * most))
+        if _log_odds(away, middle, 0.0, spread_2) > gain:
+            least = middle
+        else:
+            most = middle
+    return most
 
 
 def _log_odds(away: float, variance: float, usual: float, spread_2: float) -> float:

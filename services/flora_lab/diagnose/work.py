@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
+from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
-from flora_lab.diagnose import emulated, stored_base
-from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment
+from flora_lab.diagnose import chance, emulated, stored_base
+from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import Explainer, Explanation
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
@@ -21,8 +24,12 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.simulator.corrected import CorrectedSimulator
+from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
+from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import Extension, Provenance, Stored, TrackEntry, read_stored, software
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
@@ -68,6 +75,7 @@ class Result:
         extended_tables: of the extended one; None where nothing was found.
         extensions: what the simulator is extended by.
         runs: that were diagnosed.
+        corrected: the learned simulator with what it lacks beside it; None where none was given, or nothing found.
     """
 
     start: Start
@@ -77,6 +85,7 @@ class Result:
     extended_tables: ResidualTables | None
     extensions: tuple[Extension, ...]
     runs: Runs
+    corrected: CorrectedSimulator | None = None
 
 
 def start_from(runs: Runs, simulator: Path | None, reference: Path | None, stage: Stage) -> Start:
@@ -86,24 +95,31 @@ def start_from(runs: Runs, simulator: Path | None, reference: Path | None, stage
         BadInput: see :func:`flora_lab.diagnose.inputs.read_reference` and
             :func:`flora_lab.simulator.store.read_stored`.
     """
+    stored = read_stored(simulator) if simulator is not None else None
     if reference is not None:
         told = read_reference(reference, runs)
         provenance = _provenance(told, "the runs of --reference")
-        return _learned(told, provenance, f"{len(told.measured)} reference runs", stage)
+        start = _learned(told, provenance, f"{len(told.measured)} reference runs", stage)
+        return replace(start, judged=stored)
     assert simulator is not None
-    stored = read_stored(simulator)
+    assert stored is not None
     if stored_base.is_known(stored):
         read = RodSimulator.from_stored(stored)
         known = stored_base.read_known(stored)
         words = f"{simulator.name}, learned from {known.base.runs} runs"
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
     judged = simulator_of(stored)
+    if not isinstance(judged, GrowingSimulator):
+        raise BadInput(
+            f"{simulator}: its plants are all alike, so nobody knows what of a run is chance; add --reference with a "
+            "folder of healthy runs"
+        )
     told = emulated.reference_of(judged, runs)
     words = (
         f"{len(told.measured)} runs of {simulator.name} itself: what it is wrong in is judged by its own chance alone"
     )
     start = _learned(told, _provenance(told, f"runs simulated by {simulator.name}"), words, stage)
-    return Start(start.simulator, start.known, None, start.provenance, words, is_new=True, judged=stored)
+    return replace(start, judged=stored)
 
 
 def _learned(told: Runs, provenance: Provenance, words: str, stage: Stage) -> Start:
@@ -158,7 +174,18 @@ def diagnose(
         runs=[str(track.file) for track in runs.tracks],
         base={"learned_from": start.learned_from, **_base_words(start.known)},
     )
-    return Result(start, diagnosis, explanation, tables, extended_tables, extensions_of(causes), runs)
+    extensions = extensions_of(causes[len(faults) :])
+    corrected = _corrected(start, extensions)
+    return Result(start, diagnosis, explanation, tables, extended_tables, extensions, runs, corrected)
+
+
+def _corrected(start: Start, extensions: Sequence[Extension]) -> CorrectedSimulator | None:
+    if start.judged is None or not extensions:
+        return None
+    learned = simulator_of(start.judged)
+    if isinstance(learned, RodSimulator) or not isinstance(learned, PaperSimulator | SequenceSimulator):
+        return None
+    return CorrectedSimulator(learned, start.simulator.extended(extensions))
 
 
 def extensions_of(causes: Sequence[NamedCause]) -> tuple[Extension, ...]:
@@ -166,7 +193,7 @@ def extensions_of(causes: Sequence[NamedCause]) -> tuple[Extension, ...]:
     return tuple(
         Extension(cause.effect, dict(cause.parameters), cause.form)
         for cause in causes
-        if cause.effect in BY_NAME and BY_NAME[cause.effect].where in IN_PLANTS
+        if BY_NAME[cause.effect].where in IN_PLANTS and BY_NAME[cause.effect].forms
     )
 
 
@@ -176,8 +203,7 @@ def _extended(scenes: Sequence[Scene], known: Knowledge, explanation: Explanatio
     return residuals_of(scenes, known.base, explanation.found, known.residuals)[1]
 
 
-def _with_left(said: Any, left: Left, explanation: Explanation, known: Knowledge) -> Any:
-    import msgspec  # noqa: PLC0415
+def _with_left(said: Residuals, left: Left, explanation: Explanation, known: Knowledge) -> Residuals:
 
     return msgspec.structs.replace(said, left=left_words(left, explanation, known))
 
@@ -193,6 +219,5 @@ def _provenance(told: Runs, words: str) -> Provenance:
 
 
 def _base_words(known: Knowledge) -> dict[str, Any]:
-    from flora_lab.diagnose import chance  # noqa: PLC0415
 
     return {"runs": known.base.runs, "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()}}

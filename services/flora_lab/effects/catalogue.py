@@ -19,6 +19,7 @@ from flora_lab.effects import (
     growth_rate,
     lamp_ageing,
     lamp_asymmetry,
+    memory,
     phototropic_gain,
     phototropic_latency,
     proprioception,
@@ -50,6 +51,7 @@ CATALOGUE: Final[tuple[Effect, ...]] = (
     clock_offset.EFFECT,
     clock_skew.EFFECT,
     time_scale.EFFECT,
+    memory.EFFECT,
 )
 
 BY_NAME: Final[Mapping[str, Effect]] = {effect.name: effect for effect in CATALOGUE}
