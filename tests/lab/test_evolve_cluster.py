@@ -103,9 +103,8 @@ def expected(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 
 def evolved(plan: Plan, crew: Any, watcher: Watcher, folder: Path) -> dict[str, bytes]:
-    kept = KeptRuns(folder / "kept", plan.work)
-    kept.begin(resume=False, force=False)
-    with crew:
+    with KeptRuns(folder / "kept", plan.work) as kept, crew:
+        kept.begin(resume=False, force=False)
         states = evolve(plan, kept, crew, watcher)
     write_evolution(folder / "evolution", plan, states, wall_s=1.0, force=False)
     return contents(folder / "evolution")

@@ -53,6 +53,26 @@ evolution.KeptRuns.save = save_and_strike
 sys.exit(main(sys.argv[1:]))
 """
 
+WAITS = """
+import sys
+from flora_lab.evolve import evolution
+from flora_lab.main import main
+
+save = evolution.KeptRuns.save
+is_told = False
+
+def save_and_wait(self, number, state):
+    global is_told
+    save(self, number, state)
+    if not is_told:
+        is_told = True
+        print("saved", flush=True)
+        sys.stdin.readline()
+
+evolution.KeptRuns.save = save_and_wait
+sys.exit(main(sys.argv[1:]))
+"""
+
 
 @pytest.fixture(scope="module")
 def simulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -143,8 +163,34 @@ def test_stopped_and_resumed_is_straight(
     assert main(words) == 2
     assert "--resume goes on with it" in capsys.readouterr().err
     assert main([*words, "--resume"]) == 0
+    assert "s in 2 commands; of all work" in capsys.readouterr().out
     assert contents(tmp_path / "e") == contents(evolved)
     assert not kept_path(tmp_path / "e").exists()
+    straight, gone_on = (read_evolution(path).info.took for path in (evolved, tmp_path / "e"))
+    assert (straight.commands, gone_on.commands) == (1, 2)
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_second_command_on_the_same_output_is_told_who_works_there(
+    simulator: Path, task: Path, evolved: Path, jobs: str, tmp_path: Path, capsys: Any
+) -> None:
+    words = [*arguments(simulator, task, tmp_path / "e", "--quiet"), "--jobs", jobs]
+    first = subprocess.Popen(
+        [sys.executable, "-c", WAITS, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    with first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "saved\n"
+        before = {path.name: path.read_bytes() for path in kept_path(tmp_path / "e").iterdir()}
+        for more in ([], ["--resume"], ["--force"]):
+            assert main([*words, *more]) == 2
+            told = capsys.readouterr().err
+            assert f"process {first.pid} works in it" in told
+            assert told.count("\n") == 1
+        assert {path.name: path.read_bytes() for path in kept_path(tmp_path / "e").iterdir()} == before
+        first.communicate("\n", timeout=120)
+    assert first.returncode == 0
+    assert contents(tmp_path / "e") == contents(evolved)
 
 
 def test_what_is_kept_of_other_work_is_not_gone_on_with(
@@ -208,7 +254,13 @@ def test_a_folder_that_cannot_be_written_is_told(simulator: Path, task: Path, tm
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_a_file_in_the_way_of_the_folder_is_told(simulator: Path, task: Path, tmp_path: Path, capsys: Any) -> None:
-    (tmp_path / "file").write_text("")
-    assert main(arguments(simulator, task, tmp_path / "file" / "e")) == 2
-    assert str(tmp_path / "file") in capsys.readouterr().err
+def test_a_place_where_nobody_can_write_is_told(simulator: Path, task: Path, tmp_path: Path, capsys: Any) -> None:
+    """Not even root can make a folder below a file, or one of its own in the kernel's."""
+    (tmp_path / "file").write_text("as it was")
+    for output in (tmp_path / "file" / "e", Path("/sys/flora-evolution"), Path("/proc/flora/evolution")):
+        assert main(arguments(simulator, task, output)) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"flora-lab: {kept_path(output)}: cannot be written (")
+        assert told.count("\n") == 1
+    assert (tmp_path / "file").read_text() == "as it was"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -109,10 +109,10 @@ def first_slice(plan: Plan, number: int = 1) -> Slice:
 def test_lost_work_is_sent_again_and_nothing_else_changes(plan: Plan, tmp_path: Path) -> None:
     cluster = FakeCluster()
     cluster.to_lose = TRIES - 1
-    with crew_on(cluster, plan) as crew:
-        found = evolve(plan, kept_in(tmp_path / "ray", plan), crew, Nobody())
-    with LocalCrew(1, SliceWork(plan)) as local:
-        wanted = evolve(plan, kept_in(tmp_path / "local", plan), local, Nobody())
+    with kept_in(tmp_path / "ray", plan) as kept, crew_on(cluster, plan) as crew:
+        found = evolve(plan, kept, crew, Nobody())
+    with kept_in(tmp_path / "local", plan) as kept, LocalCrew(1, SliceWork(plan)) as local:
+        wanted = evolve(plan, kept, local, Nobody())
     assert [(run.engine, run.history) for run in found] == [(run.engine, run.history) for run in wanted]
     assert len(cluster.parts) == RUNS * GENERATIONS + TRIES - 1
 

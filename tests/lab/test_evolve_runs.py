@@ -85,8 +85,8 @@ def kept_in(path: Path, plan: Plan) -> KeptRuns:
 def test_workers_come_to_what_one_process_comes_to(
     plan: Plan, expected: dict[str, bytes], jobs: int, tmp_path: Path
 ) -> None:
-    with LocalCrew(jobs, one_generation(plan)) as crew:
-        states = evolve(plan, kept_in(tmp_path / "kept", plan), crew, Silent())
+    with kept_in(tmp_path / "kept", plan) as kept, LocalCrew(jobs, one_generation(plan)) as crew:
+        states = evolve(plan, kept, crew, Silent())
     assert in_folder(tmp_path / "evolution", plan, states) == expected
 
 
@@ -94,17 +94,17 @@ def test_workers_come_to_what_one_process_comes_to(
 def test_killed_anywhere_and_resumed_is_straight(
     plan: Plan, expected: dict[str, bytes], slices: int, tmp_path: Path
 ) -> None:
-    with pytest.raises(Killed), LocalCrew(1, one_generation(plan)) as crew:
-        evolve(plan, kept_in(tmp_path / "kept", plan), crew, StrikesAfter(slices))
+    with pytest.raises(Killed), kept_in(tmp_path / "kept", plan) as kept, LocalCrew(1, one_generation(plan)) as crew:
+        evolve(plan, kept, crew, StrikesAfter(slices))
     watcher = Silent()
-    with LocalCrew(1, SliceWork(plan)) as crew:
-        states = evolve(plan, kept_in(tmp_path / "kept", plan), crew, watcher)
+    with kept_in(tmp_path / "kept", plan) as kept, LocalCrew(1, SliceWork(plan)) as crew:
+        states = evolve(plan, kept, crew, watcher)
     assert sum(heard.generations for heard in watcher.heard[:RUNS]) > 0
     assert in_folder(tmp_path / "evolution", plan, states) == expected
 
 
 def test_the_work_of_a_lost_worker_is_done_anew(plan: Plan, expected: dict[str, bytes], tmp_path: Path) -> None:
-    with LocalCrew(2, one_generation(plan)) as crew:
+    with kept_in(tmp_path / "kept", plan) as kept, LocalCrew(2, one_generation(plan)) as crew:
         first = crew.pids
 
         class Kills(Silent):
@@ -114,14 +114,18 @@ def test_the_work_of_a_lost_worker_is_done_anew(plan: Plan, expected: dict[str, 
                     assert first[0] is not None
                     os.kill(first[0], signal.SIGKILL)
 
-        states = evolve(plan, kept_in(tmp_path / "kept", plan), crew, Kills())
+        states = evolve(plan, kept, crew, Kills())
         assert len(set(crew.pids) - set(first)) == 1
     assert in_folder(tmp_path / "evolution", plan, states) == expected
 
 
 def test_work_that_no_worker_survives_ends_the_evolution(plan: Plan, tmp_path: Path) -> None:
-    with LocalCrew(2, SliceWork(plan, clock=die)) as crew, pytest.raises(WorkerLost, match="fewer --jobs"):
-        evolve(plan, kept_in(tmp_path / "kept", plan), crew, Silent())
+    with (
+        kept_in(tmp_path / "kept", plan) as kept,
+        LocalCrew(2, SliceWork(plan, clock=die)) as crew,
+        pytest.raises(WorkerLost, match="fewer --jobs"),
+    ):
+        evolve(plan, kept, crew, Silent())
 
 
 def die() -> float:
@@ -177,21 +181,21 @@ def test_the_history_is_that_of_the_best_genomes(plan: Plan) -> None:
     ],
 )
 def test_a_damaged_run_is_told_and_left(plan: Plan, tmp_path: Path, damage: object, message: str) -> None:
-    kept = kept_in(tmp_path / "kept", plan)
     data = encode(first_state(plan, 1))
     assert callable(damage)
-    kept.save(1, damage(data))
-    with pytest.raises(BadInput, match=message) as problem:
-        kept.load(1)
+    with kept_in(tmp_path / "kept", plan) as kept:
+        kept.save(1, damage(data))
+        with pytest.raises(BadInput, match=message) as problem:
+            kept.load(1)
     assert "run-01.json" in str(problem.value)
     assert (tmp_path / "kept" / "run-01.json").read_bytes() == damage(data)
 
 
 def test_a_run_under_another_ones_name_is_told(plan: Plan, tmp_path: Path) -> None:
-    kept = kept_in(tmp_path / "kept", plan)
-    kept.save(2, encode(first_state(plan, 1)))
-    with pytest.raises(BadInput, match="holds run 1"):
-        kept.load(2)
+    with kept_in(tmp_path / "kept", plan) as kept:
+        kept.save(2, encode(first_state(plan, 1)))
+        with pytest.raises(BadInput, match="holds run 1"):
+            kept.load(2)
 
 
 def test_a_slice_can_be_done_twice(plan: Plan) -> None:

@@ -119,7 +119,7 @@ def simulated(place: str, controller: str, plant: str, seed: int | None, course:
         clearance_cm=judged.clearance_cm,
         true_clearance_cm=None,
         time_s=time_s,
-        light=["dark", *("right" if right else "left" for right in course.is_right)],
+        light=course.lamps,
         stems_cm=course.stems_cm,
     )
 

@@ -7,7 +7,6 @@ import importlib
 import json
 import os
 import sys
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -86,23 +85,29 @@ def evolve(
         generations=generations,
         seed=seed,
     )
-    kept = _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work)
-    began = time.monotonic()
     illustrate = importlib.import_module("flora_lab.evolve_report.page").write_report if report else None
-    try:
-        with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
-            with _crew(plan, jobs, cluster) as crew:
-                kept.begin(resume=resume, force=force)
-                states = _module("evolution").evolve(plan, kept, crew, screen)
-            screen.stage("writing")
-            info = _module("evolution_writing").write_evolution(
-                output, plan, states, wall_s=time.monotonic() - began, force=force, illustrate=illustrate
-            )
-    except (KeyboardInterrupt, SystemExit):
-        if kept.path.exists() and not quiet:
-            print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
-        raise
-    kept.remove()
+    with _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work) as kept:
+        try:
+            with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
+                with _crew(plan, jobs, cluster) as crew:
+                    kept.begin(resume=resume, force=force)
+                    states = _module("evolution").evolve(plan, kept, crew, screen)
+                screen.stage("writing")
+                worked = kept.worked
+                info = _module("evolution_writing").write_evolution(
+                    output,
+                    plan,
+                    states,
+                    wall_s=worked.wall_s,
+                    commands=worked.commands,
+                    force=force,
+                    illustrate=illustrate,
+                )
+        except (KeyboardInterrupt, SystemExit):
+            if kept.path.exists() and not quiet:
+                print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
+            raise
+        kept.remove()
     if as_json:
         typer.echo(json.dumps(_module("summary").as_json(info, output)))
     elif not quiet:

@@ -22,7 +22,7 @@ from flora_common.controller_file import LEFT_AT_MOST
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_common.network import NotFinite
-from flora_common.runs import LEVELS
+from flora_common.runs import LEVELS, Light
 from flora_common.shapes import Obstacle, Target
 from flora_lab.evolve import scenario_batch
 from flora_lab.evolve.controllers import Controller
@@ -68,6 +68,11 @@ class Course:
     def steps(self) -> int:
         """Of five minutes each."""
         return len(self.outputs)
+
+    @property
+    def lamps(self) -> list[Light]:
+        """The lamp that shone before each stem; before the first one it was dark."""
+        return ["dark", *("right" if right else "left" for right in self.is_right)]
 
     @property
     def hours(self) -> float:

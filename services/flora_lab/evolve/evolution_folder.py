@@ -68,11 +68,16 @@ class SimulatorEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class IndividualsEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[individuals]``; see :class:`flora_lab.evolve.individuals.Individuals`."""
+    """``[individuals]``; see :class:`flora_lab.evolve.individuals.Individuals`.
+
+    Attributes:
+        members: see :attr:`flora_lab.evolve.plan.Plan.members`.
+    """
 
     count: Count
     seed: Count
     judge: Judge
+    members: Count = 0
 
 
 class RunEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -117,7 +122,7 @@ class TookEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[took]``: seconds. All but ``wall_s`` are added up over runs.
 
     Attributes:
-        wall_s: from the start of the command to its end, or of the last one that went on with it.
+        wall_s, commands: see :class:`flora_lab.evolve.kept_runs.Worked`.
         evaluation_s, neat_s, other_s: see :class:`flora_lab.evolve.one_run.Took`.
     """
 
@@ -125,6 +130,7 @@ class TookEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     evaluation_s: Seconds
     neat_s: Seconds
     other_s: Seconds
+    commands: Positive = 1
 
 
 class EvolutionFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,7 +14,7 @@ from neat.nn import FeedForwardNetwork
 
 from flora_common import files
 from flora_common.controller_file import parse_controller
-from flora_common.runs import Light, track_text
+from flora_common.runs import track_text
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
 from flora_lab.evolve.controllers import FromFile, controller_bytes, export_of
@@ -99,6 +99,8 @@ def champion(plan: Plan, state: RunState) -> Champion:
         "fitness": row.best_fitness,
         "fitness_possible": float(means.of_possible),
     }
+    if plan.members:
+        provenance["individuals_members"] = plan.members
     for scenario, fitness in zip(plan.task.scenarios, row.by_scenario, strict=True):
         provenance[f"fitness {scenario.name}"] = fitness
     name = f"{plan.task.name}-{plan.seed}-{state.number:02d}"
@@ -125,6 +127,7 @@ def write_evolution(
     states: Sequence[RunState],
     *,
     wall_s: float,
+    commands: int = 1,
     force: bool,
     illustrate: Callable[[Path], None] | None = None,
 ) -> EvolutionFile:
@@ -133,7 +136,7 @@ def write_evolution(
     Args:
         path: of the folder.
         plan, states: what was asked, and all runs at their end.
-        wall_s: how long it took.
+        wall_s, commands: how long it took, and how many commands; see :class:`flora_lab.evolve.kept_runs.Worked`.
         force: replace an evolution that is there.
         illustrate: puts report and pictures into a folder that holds everything else.
 
@@ -161,10 +164,12 @@ def write_evolution(
             plan.parcel.info.weights_sha256,
             plan.parcel.dataset_sha256,
         ),
-        individuals=IndividualsEntry(plan.individuals.count, plan.individuals.seed, plan.individuals.judge),
+        individuals=IndividualsEntry(
+            plan.individuals.count, plan.individuals.seed, plan.individuals.judge, plan.members
+        ),
         run=[one.entry for one in champions],
         episode=[episode_entry(place, course) for place, course in enumerate(courses)],
-        took=_took(states, wall_s),
+        took=_took(states, wall_s, commands),
     )
     with files.whole_folder(path, replace=force) as new:
         for part in (folder.CONTROLLERS, folder.EPISODES):
@@ -183,9 +188,12 @@ def write_evolution(
     return info
 
 
-def _took(states: Sequence[RunState], wall_s: float) -> TookEntry:
+def _took(states: Sequence[RunState], wall_s: float, commands: int) -> TookEntry:
     took = functools.reduce(add, (state.took for state in states), Took())
-    return TookEntry(*(round(value, 3) for value in (wall_s, took.evaluation_s, took.neat_s, took.other_s)))
+    wall_s, evaluation_s, neat_s, other_s = (
+        round(value, 3) for value in (wall_s, took.evaluation_s, took.neat_s, took.other_s)
+    )
+    return TookEntry(wall_s, evaluation_s, neat_s, other_s, commands)
 
 
 def episode_entry(place: int, course: Course) -> EpisodeEntry:
@@ -197,6 +205,6 @@ def episode_entry(place: int, course: Course) -> EpisodeEntry:
 
 
 def episode_track(course: Course) -> str:
-    """A track; each row's light shone before it, and before the first row nothing did."""
-    lights: list[Light] = ["dark", *("right" if right else "left" for right in course.is_right)]
-    return track_text((k * STEP_S for k in range(len(lights))), lights, course.stems_cm)
+    """A track; each row's light shone before it."""
+    lamps = course.lamps
+    return track_text((k * STEP_S for k in range(len(lamps))), lamps, course.stems_cm)

@@ -1,25 +1,34 @@
 """An evolution that is not over: a folder beside the one that it will become, one file per run.
 
 ``.NAME.evolution/`` beside ``NAME``: ``work.json`` says what the work is, ``run-01.json`` and so on hold the runs as
-they stood last. Each file is replaced whole, so whoever is killed has the one before. The folder goes when the
-evolution stands.
+they stood last, ``time.json`` how long commands have worked on them. Each file is replaced whole, so whoever is killed
+has the one before. One process at a time holds the folder. It goes when the evolution stands.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import shutil
+import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
+from flora_common.lock import AlreadyHeld, hold
 from flora_lab.evolve import one_run
-from flora_lab.evolve.one_run import RunState
+from flora_lab.evolve.one_run import Clock, RunState
 from flora_lab.stopped_work import check_same_work
 
 WORK_FILE: Final = "work.json"
+TIME_FILE: Final = "time.json"
+LOCK_FILE: Final = ".lock"
+UNFINISHED: Final = files.TEMPORARY_SUFFIX
 _REMEDY: Final = "add --force to begin anew"
 
 
@@ -28,42 +37,74 @@ def kept_path(output: Path) -> Path:
     return output.parent / f".{output.name}.evolution"
 
 
-class KeptRuns:
-    """The runs of one unfinished evolution.
+class Worked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How long commands have worked on an evolution.
+
+    Attributes:
+        commands: how many; those that ended before they had kept anything do not count.
+        wall_s: seconds from the start of each to its end, added up. Of one that was stopped, up to when it last kept
+            something.
+    """
+
+    commands: Annotated[int, msgspec.Meta(ge=0)] = 0
+    wall_s: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+
+
+class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
+    """The runs of one unfinished evolution. Who leaves the ``with`` block lets go of them; they stay where they are.
 
     Args:
         path: of :func:`kept_path`.
         work: what the work is, see :attr:`flora_lab.evolve.plan.Plan.work`.
+        clock: seconds that only go forward. This command's time counts from here.
     """
 
-    def __init__(self, path: Path, work: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, work: Mapping[str, Any], clock: Clock = time.monotonic) -> None:
         self.path = path
         self._work: dict[str, Any] = json.loads(json.dumps(dict(work)))
+        self._clock, self._began = clock, clock()
+        self._before = Worked()
+        self._lock: int | None = None
 
     def begin(self, *, resume: bool, force: bool) -> None:
-        """Make sure that the folder is there and of this work.
+        """Make sure that the folder is there, of this work, and this process's alone.
 
         Args:
             resume: go on with what is there.
             force: drop what is there.
 
         Raises:
-            BadInput: there is something and neither is asked for, or it is of other work, or nothing can be written.
+            BadInput: there is something and neither is asked for, or it is of other work, or another process works in
+                it, or nothing can be written.
         """
-        if self.path.exists() and force:
-            self.remove()
-        if self.path.exists():
-            if not resume:
-                raise BadInput(
-                    f"{self.path}: holds an unfinished evolution; --resume goes on with it, --force drops it"
-                )
-            check_same_work(self.path, self._read_work(), self._work, _REMEDY)
-            return
         try:
             files.make_folder(self.path)
+            self._lock = self._held()
+            kept = [entry for entry in self.path.iterdir() if entry.name != LOCK_FILE and entry.suffix != UNFINISHED]
+            if force:
+                for entry in kept:
+                    entry.unlink()
+            elif kept:
+                if not resume:
+                    raise BadInput(
+                        f"{self.path}: holds an unfinished evolution; --resume goes on with it, --force drops it"
+                    )
+                check_same_work(self.path, self._read_work(), self._work, _REMEDY)
+                self._before = self._read_time()
+                return
             files.write_text(self.path / WORK_FILE, json.dumps(self._work, indent=1) + "\n")
-        except PermissionError as problem:
+        except OSError as problem:
             raise BadInput(f"{self.path}: cannot be written ({problem.strerror})") from problem
+
+    def __exit__(self, *_: object) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    @property
+    def worked(self) -> Worked:
+        """By all commands, this one included."""
+        return Worked(self._before.commands + 1, self._before.wall_s + self._clock() - self._began)
 
     def load(self, number: int) -> RunState | None:
         """Run ``number`` as it stood last, or None where it has not begun.
@@ -85,19 +126,45 @@ class KeptRuns:
         return state
 
     def save(self, number: int, state: bytes) -> None:
-        """Keep a run.
+        """Keep a run, and how long it has taken.
 
         Raises:
             DiskFull: no room; what was kept before stands.
         """
         files.write_bytes(self._file(number), state)
+        files.write_bytes(self.path / TIME_FILE, msgspec.json.encode(self.worked))
 
     def remove(self) -> None:
-        """The evolution stands, or is dropped."""
+        """The evolution stands."""
         shutil.rmtree(self.path)
+
+    def _held(self) -> int:
+        """The lock's descriptor."""
+        path = self.path / LOCK_FILE
+        try:
+            descriptor = hold(path)
+        except AlreadyHeld as problem:
+            raise BadInput(
+                f"{self.path}: process {problem.pid} works in it; wait for it, or name another folder with -o"
+            ) from problem
+        # who had it before may have finished, and removed it with its folder, between opening and holding
+        if not path.exists() or not os.path.samestat(os.fstat(descriptor), path.stat()):
+            os.close(descriptor)
+            raise BadInput(f"{self.path}: the process that worked in it has just ended; look what it wrote")
+        return descriptor
 
     def _file(self, number: int) -> Path:
         return self.path / f"run-{number:02d}.json"
+
+    def _read_time(self) -> Worked:
+        """None where nothing was kept yet."""
+        path = self.path / TIME_FILE
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=Worked)
+        except FileNotFoundError:
+            return Worked()
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as problem:
+            raise BadInput(f"{path}: cannot be read; remove it, and time counts from now on") from problem
 
     def _read_work(self) -> dict[str, Any]:
         path = self.path / WORK_FILE

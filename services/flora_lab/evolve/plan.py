@@ -94,9 +94,15 @@ class Plan:
         return int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
 
     @property
+    def members(self) -> int:
+        """Of how many members of the simulator, or their mean, a drawn plant follows one; 0 where it follows none."""
+        return len(self.parcel.simulator.members()) if self.individuals.count else 0
+
+    @property
     def work(self) -> dict[str, Any]:
         """What makes this evolution another one, as plain values by names that people know."""
-        return {
+        members = {"individuals' members": self.members} if self.members else {}
+        return members | {
             "simulator": self.parcel.info.weights_sha256,
             "simulator.toml": files.sha256_of_bytes(dict(self.parcel.content)[INFO_FILE]),
             "task": self.task.name,

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
-from flora_lab.evolve.plants import jit_methods, room
-from flora_lab.evolve.plants_growing import DriveCourse, drive_course, driven, first_state
+from flora_lab.evolve.plants import jit_methods
+from flora_lab.evolve.plants_growing import DriveCourse, drive_course, driven, first_state, rooms
 from flora_lab.evolve.task import Task
 from flora_lab.simulator import neural_law
-from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.rod import length_of, points_lane
+from flora_lab.simulator.sequence import SequenceSimulator
 
 Array = npt.NDArray[Any]
 
@@ -27,7 +27,8 @@ class NeuralPlants(NamedTuple):
         length, angle, segments, hidden: stems and memory, see :class:`flora_lab.simulator.law.Stems`; one row per
             plant.
         traits: of the individual.
-        w_ih, w_hh, b, w_out, b_out, zone_cm: of the law, see :mod:`flora_lab.simulator.neural_law`.
+        w_ih, w_hh, b, w_out, b_out, zone_cm: of the law, see :mod:`flora_lab.simulator.neural_law`; of the member that
+            the plant follows.
         course: what happens to it.
     """
 
@@ -77,21 +78,21 @@ class NeuralPlants(NamedTuple):
 
 def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int) -> NeuralPlants | None:
     """See :func:`flora_lab.evolve.plants_kinds.plants_of`; None for a simulator of another law."""
-    if not isinstance(simulator, GrowingSimulator) or type(simulator.law) is not neural_law.NeuralLaw:
+    if not isinstance(simulator, SequenceSimulator):
         return None
-    state, weights = first_state(simulator, task, seed), simulator.law.weights
-    stems = state.stems
+    state = first_state(simulator, task, seed)
+    law, stems = simulator.neural, state.stems
+    if state.member is not None:
+        law, stems = simulator.following(stems, int(state.member[0]))
+    weights = law.weights
     return NeuralPlants(
-        room(stems.length, rows),
-        room(stems.angle, rows),
-        room(stems.count, rows),
-        room(stems.memory, rows),
+        *rooms(stems, rows),
         state.traits[0],
         weights["w_ih"],
         weights["w_hh"],
         weights["b"],
         weights["w_out"],
         weights["b_out"],
-        simulator.law.zone_cm,
+        law.zone_cm,
         drive_course(simulator, task, seed),
     )

@@ -33,6 +33,7 @@ def as_json(info: EvolutionFile, output: Path) -> dict[str, Any]:
         },
         "took": {
             "wall_s": info.took.wall_s,
+            "commands": info.took.commands,
             "evaluation_s": info.took.evaluation_s,
             "neat_s": info.took.neat_s,
             "other_s": info.took.other_s,
@@ -61,8 +62,9 @@ def text(info: EvolutionFile, output: Path) -> str:
         )
         name = ""
     took = info.took
+    commands = f" in {took.commands} commands" if took.commands > 1 else ""
     lines.append(
-        f"time       {took.wall_s:.0f} s; of all work {took.evaluation_s:.0f} s simulated plants, "
+        f"time       {took.wall_s:.0f} s{commands}; of all work {took.evaluation_s:.0f} s simulated plants, "
         f"{took.neat_s:.0f} s NEAT, {took.other_s:.0f} s the rest"
     )
     lines.append(f"wrote {output}")

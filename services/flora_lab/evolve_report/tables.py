@@ -39,7 +39,8 @@ def plants_text(evolution: Evolution) -> str:
     if individuals.count == 0:
         return "the simulator's typical plant"
     judged = {"mean": "the mean over them counts", "worst": "the worst counts"}[individuals.judge]
-    return f"{individuals.count} drawn from seed {individuals.seed}; {judged}"
+    following = f", each following one of {individuals.members} members or their mean" if individuals.members else ""
+    return f"{individuals.count} drawn from seed {individuals.seed}{following}; {judged}"
 
 
 def by_fitness(evolution: Evolution) -> list[RunEntry]:
@@ -80,11 +81,12 @@ def time_taken(evolution: Evolution) -> str:
         ("the rest of the runs", took.other_s),
     )
     worked = sum(seconds for _, seconds in parts)
+    commands = f", {took.commands} commands added up" if took.commands > 1 else ""
     steps = int(evolution.history.episode_steps.sum())
     simulated = int(evolution.history.plant_steps.sum())
     return pairs(
         [
-            ("from start to end", _seconds(took.wall_s)),
+            (f"from start to end{commands}", _seconds(took.wall_s)),
             *((name, f"{_seconds(seconds)}{_share(seconds, worked)}") for name, seconds in parts),
             ("steps of all episodes", f"{steps:,}"),
             ("steps of plants that were simulated for them", f"{simulated:,}{_share(simulated, steps)}"),

@@ -40,6 +40,8 @@ class GrowingState:
         steps: made since the start.
         processes: state of the drives, shape (batch, channels), or None where nothing happens by chance.
         drives: None where nothing happens by chance.
+        member: which part of a law that has several each plant follows, shape (batch,), see
+            :class:`flora_lab.simulator.sequence.SequenceSimulator`; None where all follow the law itself.
     """
 
     stems: Stems
@@ -47,6 +49,7 @@ class GrowingState:
     steps: int = 0
     processes: Array | None = None
     drives: Drives | None = None
+    member: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,8 @@ class GrowingSimulator(Simulator[GrowingState]):
         count = len(self.prior.mean)
         away = [np.random.default_rng([int(s), _INDIVIDUAL]).standard_normal(count) for s in chance.seeds]
         traits = traits + np.stack([self._root @ a for a in away])
-        return GrowingState(stems, traits, processes=drives.start(), drives=drives)
+        member = self._drawn_members(chance)
+        return GrowingState(stems, traits, processes=drives.start(), drives=drives, member=member)
 
     def watch(self, history: History) -> GrowingState:
         return self.known(history, self.recognised(history))
@@ -129,6 +133,16 @@ class GrowingSimulator(Simulator[GrowingState]):
     def _law_during(self, covariates: Mapping[str, Array]) -> Law:
         """The law, as it is under these covariates from its first step on: name to shape (steps, batch)."""
         return self.law
+
+    def _drawn_members(self, chance: Chance) -> Array | None:
+        """See :attr:`GrowingState.member`."""
+        return None
+
+    def _advanced(
+        self, law: Law, state: GrowingState, light: Array, bias: Array, growth: Array, step_h: float
+    ) -> Stems:
+        """See :func:`flora_lab.simulator.law.advanced`."""
+        return advanced(law, state.stems, state.traits, light, bias, growth, step_h)
 
     def _at_start(self, memory: Array) -> Array:
         """What plants remember of the time before a run, shape (batch, ...), when it starts."""
@@ -162,7 +176,7 @@ class GrowingSimulator(Simulator[GrowingState]):
             length_cm = state.stems.length_cm
             processes, bias, growth = state.drives.step(state.processes, state.steps, dt_s / 3600.0, length_cm)
         law = self._law_during({name: values[None] for name, values in (covariates or {}).items()})
-        stems = advanced(law, state.stems, state.traits, levels[None], bias[None], growth[None], dt_s / 3600.0)
+        stems = self._advanced(law, state, levels[None], bias[None], growth[None], dt_s / 3600.0)
         after = replace(state, stems=stems, steps=state.steps + 1, processes=processes)
         return after, stems.points_cm
 
