@@ -133,7 +133,7 @@ def test_it_follows_the_temperature_that_the_learned_one_knows_nothing_of() -> N
 
 def test_a_stem_is_never_below_the_ground() -> None:
     """Though the effect takes away more height than the learned stem has."""
-    slow = rod().extended([Extension("time_scale", {"factor": 0.05})])
+    slow = rod().extended([Extension("time_scale", {"factor": 20.0})])
     plant = CorrectedSimulator(sequence(), slow)
     stems = run(plant, plant.start(upright(1, 1.0)), lit(288, RIGHT), 1500.0)
     assert stems[..., 1].min() == 0.0
