@@ -32,7 +32,7 @@ from flora_twin.runs import dataset_runs
 Array = Any
 DARK = (0.0, 0.0)
 USUAL_C = 22.0
-OF_PLANTS = [effect.name for effect in CATALOGUE if effect.where in {"plant", "simulator"}]
+OF_PLANTS = [effect.name for effect in CATALOGUE if effect.forms and effect.where in {"plant", "simulator"}]
 QUIET = DriveNoise(wander_per_cm_h=1e-6, nutation_per_cm_h=1e-6, growth_share=1e-6, rhythm_share=1e-6)
 
 

@@ -57,6 +57,8 @@ def _effect_of(extension: Extension, where: str) -> Effect:
     told = f"{where}: effect `{effect.name}`"
     if effect.where in _OF_THE_RECORD:
         raise BadInput(f"{told} is one of the {effect.where}: correct the data for it; it is no part of a simulator")
+    if not effect.forms:
+        raise BadInput(f"{told} is what a learned simulator may lack; the mechanistic one has it anyway")
     if not 0 <= extension.form < len(effect.forms):
         raise BadInput(f"{told} has no form {extension.form}; it has 0 to {len(effect.forms) - 1}")
     for name in extension.parameters:
