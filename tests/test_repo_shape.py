@@ -18,7 +18,7 @@ NO_UNIT = {"flora-monitor", "flora-twin", "flora-lab"}
 """Commands that a person types; nothing to start at boot."""
 LEAN = {"flora-bus", "flora-flash", "flora-capture", "flora-led", "flora-uploader", "flora-recorder"}
 """Services that only move messages and files: numpy alone would add a third to the memory of each."""
-LEARNING = ("torch", "neat", "numba", "scipy", "statsmodels", "matplotlib", "ray")
+LEARNING = ("torch", "neat", "numba", "scipy", "sklearn", "statsmodels", "matplotlib", "ray")
 
 
 def test_each_package_has_its_command_and_each_command_its_package() -> None:

@@ -143,8 +143,7 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         effect = BY_NAME[cause.effect]
         head = f"{number}. {effect.title}" if many else effect.title
         out.append(f'<h3 style="margin:1.1rem 0 .2rem;font-size:1.05rem">{escape(head)}</h3>')
-        sentence = meaning(cause)
-        out.append(html_page.paragraph(f"{sentence[:1].upper()}{sentence[1:]}. {cause.evidence}".strip()))
+        out.append(html_page.paragraph(cause.evidence))
         rows = [
             (
                 _plain(parameter.name),
