@@ -90,7 +90,7 @@ def still(light: Array, *, first_cm: Array | None = None, step_s: float = STEP_S
 
 def warm_course(hours: float) -> Array:
     """Temperatures about 22 degrees that change without a rhythm, shape (steps,)."""
-    hour = (np.arange(round(hours * 3600.0 / STEP_S)) * STEP_S / 3600.0)
+    hour = np.arange(round(hours * 3600.0 / STEP_S)) * STEP_S / 3600.0
     return np.asarray(22.0 + 4.0 * np.sin(0.5 * hour) + 2.0 * np.sin(0.17 * hour + 1.0))
 
 
@@ -126,7 +126,9 @@ def run_of(
         swing: period in hours and amplitude of the tip in cm.
     """
     rng = np.random.default_rng([seed, 2])
-    shone = turns(hours, 4.0 if seed % 2 else 6.0, "right" if seed % 4 < 2 else "left", step_s) if light is None else light
+    shone = (
+        turns(hours, 4.0 if seed % 2 else 6.0, "right" if seed % 4 < 2 else "left", step_s) if light is None else light
+    )
     steps = len(shone)
     first_cm = stem(FIRST_CM * float(np.exp(0.06 * rng.standard_normal())), 0.03 * float(rng.standard_normal()))
     hour = round(3600.0 / step_s)
@@ -152,7 +154,9 @@ def run_of(
     points[:, 1:] += chance.get("measure", 0.0) * rng.standard_normal((steps + 1, 9, 2))
     covariates = {} if warm_c is None else {"temperature_c": warm_c}
     name = f"plant{seed}"
-    return MeasuredRun(name, name, f"{seed:064d}", points, shone, np.arange(steps + 1) * step_s, step_s, covariates, LAMPS)
+    return MeasuredRun(
+        name, name, f"{seed:064d}", points, shone, np.arange(steps + 1) * step_s, step_s, covariates, LAMPS
+    )
 
 
 def scene_of(seed: int, **how: Any) -> Scene:

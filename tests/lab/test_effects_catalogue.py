@@ -18,11 +18,29 @@ from flora_lab.effects.effect import Change, Effect, Parameter
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
-WANTED = (
-    "circumnutation phototropic_latency adaptation lamp_asymmetry lamp_ageing diurnal_growth temperature_growth "
-    "growth_rate stiffening gravitropism proprioception phototropic_gain sag draught camera_roll camera_scale "
-    "camera_drift clock_offset clock_skew time_scale memory"
-).split()
+WANTED = [
+    "circumnutation",
+    "phototropic_latency",
+    "adaptation",
+    "lamp_asymmetry",
+    "lamp_ageing",
+    "diurnal_growth",
+    "temperature_growth",
+    "growth_rate",
+    "stiffening",
+    "gravitropism",
+    "proprioception",
+    "phototropic_gain",
+    "sag",
+    "draught",
+    "camera_roll",
+    "camera_scale",
+    "camera_drift",
+    "clock_offset",
+    "clock_skew",
+    "time_scale",
+    "memory",
+]
 PARAMETERS = [pytest.param(p, id=f"{e.name}.{p.name}") for e in CATALOGUE for p in e.parameters]
 FORMS = [(e.name, form) for e in CATALOGUE for form in range(len(e.forms))]
 HOURS = 18.0
@@ -164,7 +182,7 @@ def test_sides_are_told_rightly() -> None:
     for name in ("camera_roll", "camera_drift"):
         change = change_of({name: {"angle_deg": 8.0}})
         tip_x_cm = features(change, in_the_dark)[::5]
-        assert (np.diff(tip_x_cm) < 0.0).all()  # rolled, it leant to the right when it seemed upright, and rights itself
+        assert (np.diff(tip_x_cm) < 0.0).all()  # rolled, it leant to the right when it seemed upright; it rights itself
         assert tip_x_cm[-1] < -0.1
 
 
@@ -223,6 +241,8 @@ def test_temperature_acts_where_it_is_told() -> None:
     assert not unknown.has_temperature
     assert features(change, unknown).tobytes() == features(Change(), unknown).tobytes()
     constant = run_of(1, hours=12.0, chance=QUIET, warm_c=np.full(144, 26.0))
-    run = MeasuredRun("", "", "", constant.points_cm, constant.light, constant.time_s, STEP_S, constant.covariates, LAMPS)
+    run = MeasuredRun(
+        "", "", "", constant.points_cm, constant.light, constant.time_s, STEP_S, constant.covariates, LAMPS
+    )
     assert not Scene(run, ExtendedLaw(LAMPS), 22.0).has_temperature  # which is no news about growth
     assert scene_of(1, hours=12.0, warm_c=WARM_C[:144]).has_temperature

@@ -1,0 +1,360 @@
+"""``flora-lab diagnose`` from end to end on small runs, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from diagnose_runs import CHANCE, change_of, run_of, turns, write_run
+from html_reader import Reader
+
+from flora_lab.diagnose import folder, work
+from flora_lab.diagnose.diagnosis import Diagnosis
+from flora_lab.main import main
+from flora_lab.simulator.interface import Chance
+from flora_lab.simulator.interface import run as run_freely
+from flora_lab.simulator.load import load
+from flora_lab.simulator.rod_simulator import RodSimulator
+
+CALM = {name: 0.5 * size for name, size in CHANCE.items()}
+HIDDEN = change_of({"draught": {"drive_per_cm_h": 0.12}})
+RESULTS: list[work.Result] = []
+"""What :func:`diagnosed` came to, for tests of how it is told."""
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five reference runs, two under an effect, and one more of these."""
+    folder = tmp_path_factory.mktemp("diagnose-runs")
+    for seed in range(5):
+        write_run(folder / "reference", run_of(seed, chance=CALM))
+    for seed in (10, 11):
+        write_run(folder / "measured", run_of(seed, change=HIDDEN, chance=CALM))
+    write_run(folder / "held-out", run_of(12, change=HIDDEN, chance=CALM))
+    return folder
+
+
+def measured(runs: Path) -> list[Path]:
+    return sorted((runs / "measured").iterdir())
+
+
+@pytest.fixture(scope="session")
+def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the command writes."""
+    out = tmp_path_factory.mktemp("diagnose-out") / "diagnosis"
+    arguments = [*measured(runs), "--reference", runs / "reference", "-o", out, "--quiet"]
+    real = work.diagnose
+
+    def kept(*paths: Any, **how: Any) -> work.Result:
+        RESULTS.append(real(*paths, **how))
+        return RESULTS[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work, "diagnose", kept)
+        assert main(["diagnose", *map(str, arguments)]) == 0
+    return out
+
+
+def told(path: Path) -> Diagnosis:
+    return msgspec.json.decode((path / "diagnosis.json").read_bytes(), type=Diagnosis)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """What is said about bad input: one line, and status 2."""
+    capsys.readouterr()
+    assert main(["diagnose", *map(str, arguments)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    lines = [line for line in said.err.strip().splitlines() if not line.startswith("note: ")]
+    assert len(lines) == 1, said.err
+    assert "Traceback" not in said.err
+    return lines[0]
+
+
+# From end to end
+
+
+def test_the_folder_is_whole(diagnosed: Path) -> None:
+    names = {path.name for path in diagnosed.iterdir()}
+    assert names >= {"diagnosis.json", "report.html", "pictures", "base.simulator", "extended.simulator"}
+    assert "corrected" not in names  # nothing was wrong with the record
+    assert not [path for path in diagnosed.parent.iterdir() if path.name.startswith(".")]
+    pictures = {path.name for path in (diagnosed / "pictures").iterdir()}
+    assert {"paths.png", "stems.png", "phase.png", "stem.png", "spectrum.png", "evidence.png", "film.gif"} <= pictures
+
+
+def test_what_was_hidden_is_found(diagnosed: Path, runs: Path) -> None:
+    found = told(diagnosed)
+    assert found.verdict == "explained"
+    assert [cause.effect for cause in found.causes] == ["draught"]
+    (cause,) = found.causes
+    assert cause.parameters["drive_per_cm_h"] == pytest.approx(0.12, rel=0.25)
+    low, high = cause.interval["drive_per_cm_h"]
+    assert low < cause.parameters["drive_per_cm_h"] < high
+    assert 0.0 <= cause.confidence <= 1.0
+    assert found.format == 1
+    assert found.residuals.significant
+    assert found.residuals.size_mm > 1.0
+    assert found.runs == [str(path) for path in measured(runs)]
+    assert found.base["runs"] == 5
+    free = found.gain.free_running["end"]
+    assert free["extended"] < free["base"]
+    assert "2 runs" in found.gain.judged_on
+    assert found.summary.startswith("Steady push to a side")
+
+
+def test_the_report_needs_nothing_else(diagnosed: Path) -> None:
+    text = (diagnosed / "report.html").read_text(encoding="utf-8")
+    Reader(text)
+    assert "Steady push to a side" in text
+    for outside in ("http://", 'src="pictures', "<script src", "<link "):
+        assert outside not in text.replace("http://www.w3.org", "")
+
+
+def test_the_extended_simulator_is_one(diagnosed: Path) -> None:
+    base, extended = (load(diagnosed / f"{name}.simulator") for name in ("base", "extended"))
+    assert isinstance(base, RodSimulator)
+    assert isinstance(extended, RodSimulator)
+    assert [extension.effect for extension in extended.extensions] == ["draught"]
+    first = run_of(10).points_cm[:1]
+    light = turns(12.0, 3.0)[:, None]
+    tips = [run_freely(plant, plant.start(first), light, 300.0)[-1, 0, -1, 0] for plant in (base, extended)]
+    assert tips[1] > tips[0] + 0.5  # pushed to the right
+    chance = run_freely(extended, extended.start(first, Chance(np.array([1]))), light, 300.0)
+    assert np.isfinite(chance).all()
+
+
+def test_the_extended_simulator_rolls_out(diagnosed: Path, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [diagnosed / "extended.simulator", *measured(runs), "--json"]
+    assert main(["rollout", *map(str, arguments)]) == 0
+    assert json.loads(capsys.readouterr().out)["plants"] == 2
+
+
+def test_what_was_learned_is_given_the_next_time(
+    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --json nothing else is printed, and the folder is written all the same."""
+    capsys.readouterr()
+    arguments = [*measured(runs), "--simulator", diagnosed / "base.simulator", "-o", tmp_path / "again", "--json"]
+    assert main(["diagnose", *map(str, arguments), "--holdout", str(next((runs / "held-out").iterdir()))]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    printed = msgspec.json.decode(said.out.encode(), type=Diagnosis)
+    assert printed == told(tmp_path / "again")
+    for there, back in zip(told(diagnosed).causes, printed.causes, strict=True):
+        assert there == back
+    assert printed.verdict == told(diagnosed).verdict
+    assert not (tmp_path / "again" / "base.simulator").exists()
+    assert (tmp_path / "again" / "extended.simulator").is_dir()
+    assert "held out" in printed.gain.judged_on
+
+
+def test_quiet_says_nothing(
+    diagnosed: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert diagnosed.is_dir()
+
+    def at_once(*_: object, note: Callable[[str], None], **__: object) -> work.Result:
+        note("no run.toml tells where the lamps hang, and this is so long a line that no terminal is as wide as it is")
+        return RESULTS[0]
+
+    monkeypatch.setattr(work, "diagnose", at_once)
+    monkeypatch.setattr(folder, "write", lambda path, _: path.mkdir())
+    capfd.readouterr()
+    arguments = ["diagnose", *map(str, measured(runs)), "--reference", str(runs / "reference"), "-o"]
+    assert main([*arguments, str(tmp_path / "quiet"), "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
+    assert main([*arguments, str(tmp_path / "told")]) == 0
+    said = capfd.readouterr()
+    assert said.out.startswith("verdict: explained\nSteady push to a side")
+    assert said.out.endswith(f"wrote {tmp_path / 'told'}\n")
+    assert "tip error in mm" in said.out
+    (line,) = said.err.splitlines()
+    assert line.startswith("note: no run.toml tells")
+
+
+@pytest.mark.parametrize("signal_name", ["SIGTERM", "SIGKILL"])
+def test_killed_in_the_middle_it_leaves_nothing_behind(runs: Path, tmp_path: Path, signal_name: str) -> None:
+    program = [sys.executable, "-m", "flora_lab.main", "diagnose"]
+    arguments = [*measured(runs), "--reference", runs / "reference", "-o", tmp_path / "out"]
+    process = subprocess.Popen(
+        [*program, *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ},
+    )
+    assert process.stderr is not None
+    assert "note:" in process.stderr.readline()  # the runs have been read; it learns now
+    time.sleep(0.3)
+    process.send_signal(getattr(signal, signal_name))
+    process.communicate(timeout=60.0)
+    assert process.returncode != 0
+    assert list(tmp_path.iterdir()) == []
+
+
+# What it refuses
+
+
+def test_an_output_that_is_there_is_left_alone(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("folder", "file", "link"):
+        path = tmp_path / name
+        if name == "folder":
+            path.mkdir()
+        elif name == "file":
+            path.write_text("mine")
+        else:
+            path.symlink_to(tmp_path / "nowhere")
+        said = refused(capsys, *measured(runs), "--reference", runs / "reference", "-o", path)
+        assert f"{path}: is there already; name another folder with -o" in said
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_one_thing_to_compare_with_is_needed(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ("-o", tmp_path / "out")
+    assert "give --simulator SIM or --reference RUNS_DIR" in refused(capsys, *measured(runs), *out)
+    assert not (tmp_path / "out").exists()
+
+
+def short(folder: Path) -> Path:
+    return write_run(folder, replace(run_of(20, hours=3.0), name="short"))
+
+
+def without_track(folder: Path) -> Path:
+    (folder / "run").mkdir(parents=True)
+    return folder / "run"
+
+
+def not_numbers(folder: Path) -> Path:
+    path = write_run(folder, run_of(21, hours=8.0))
+    lines = path.read_text().splitlines()
+    fields = lines[40].split(",")
+    fields[5] = "nan"
+    lines[40] = ",".join(fields)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def no_track_at_all(folder: Path) -> Path:
+    folder.mkdir()
+    path = folder / "notes.csv"
+    path.write_text("water the beans\n")
+    return path
+
+
+def missing(folder: Path) -> Path:
+    return folder / "gone.csv"
+
+
+MEASURED: list[tuple[Callable[[Path], Path], str]] = [
+    (short, "short.csv: is 3.0 h long; at least 6 h are needed"),
+    (without_track, "holds no track.csv; make it with `flora-lab track"),
+    (not_numbers, "plant21.csv line 41: "),
+    (no_track_at_all, "notes.csv"),
+    (missing, "gone.csv: no such run or track"),
+]
+
+
+@pytest.mark.parametrize(("make", "said"), MEASURED, ids=[make.__name__ for make, _ in MEASURED])
+def test_a_run_that_cannot_be_diagnosed_is_told(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], said: str
+) -> None:
+    path = make(tmp_path / "bad")
+    assert said in refused(capsys, path, "--reference", runs / "reference", "-o", tmp_path / "out")
+    held_out = (*measured(runs), "--holdout", path)
+    assert said in refused(capsys, *held_out, "--reference", runs / "reference", "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def few(folder: Path, runs: Path) -> Path:
+    folder.mkdir()
+    for path in sorted((runs / "reference").iterdir())[:2]:
+        shutil.copy(path, folder)
+    return folder
+
+
+def a_file(folder: Path, runs: Path) -> Path:
+    del folder
+    return next((runs / "reference").iterdir())
+
+
+def with_a_measured_one(folder: Path, runs: Path) -> Path:
+    shutil.copytree(runs / "reference", folder)
+    shutil.copy(measured(runs)[1], folder / "also.csv")
+    return folder
+
+
+def with_one_twice(folder: Path, runs: Path) -> Path:
+    shutil.copytree(runs / "reference", folder)
+    shutil.copy(folder / "plant1.csv", folder / "zzz.csv")
+    return folder
+
+
+def with_a_short_one(folder: Path, runs: Path) -> Path:
+    shutil.copytree(runs / "reference", folder)
+    short(folder)
+    return folder
+
+
+REFERENCE: list[tuple[Callable[[Path, Path], Path], str]] = [
+    (few, "holds 2 runs with a track; at least 3 are needed to tell how plants differ"),
+    (a_file, "is no folder; --reference takes a folder of runs or tracks"),
+    (with_a_measured_one, "also.csv: is also to be diagnosed"),
+    (with_one_twice, "zzz.csv: is the same track as"),
+    (with_a_short_one, "short.csv: is 3.0 h long"),
+]
+
+
+@pytest.mark.parametrize(("make", "said"), REFERENCE, ids=[make.__name__ for make, _ in REFERENCE])
+def test_a_reference_that_tells_nothing_is_told(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path, Path], Path], said: str
+) -> None:
+    reference = make(tmp_path / "reference", runs)
+    assert said in refused(capsys, *measured(runs), "--reference", reference, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_same_run_twice_is_told(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = measured(runs)[0]
+    twin = Path(shutil.copy(one, tmp_path / "twin.csv"))
+    reference = ("--reference", runs / "reference", "-o", tmp_path / "out")
+    assert "twin.csv: is the same track as" in refused(capsys, one, twin, *reference)
+
+
+def test_a_run_that_is_diagnosed_cannot_be_held_out(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would judge what was fitted to it."""
+    one, other = measured(runs)
+    reference = ("--reference", runs / "reference", "-o", tmp_path / "out")
+    assert f"{one}: is also to be diagnosed" in refused(capsys, one, other, "--holdout", one, *reference)
+
+
+def test_a_simulator_that_is_damaged_is_told(
+    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.simulator"
+    shutil.copytree(diagnosed / "base.simulator", bad)
+    data = bytearray((bad / "weights.safetensors").read_bytes())
+    data[-5] ^= 1
+    (bad / "weights.safetensors").write_bytes(bytes(data))
+    assert "bad.simulator" in refused(capsys, *measured(runs), "--simulator", bad, "-o", tmp_path / "out")
+    gone = refused(capsys, *measured(runs), "--simulator", tmp_path / "gone", "-o", tmp_path / "out")
+    assert "gone: no such simulator folder" in gone
+
+
+def test_its_help_is_at_hand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["diagnose", "--help"]) == 0
+    assert "--reference" in capsys.readouterr().out

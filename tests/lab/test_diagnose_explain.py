@@ -1,0 +1,180 @@
+"""From runs to causes: the search, one cause after another, and nothing where nothing is."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from diagnose_runs import known, scenes_of, warm_course
+
+from flora_lab.diagnose import search
+from flora_lab.diagnose.explain import CLAIM, MOST_CAUSES, Explainer, Explanation
+from flora_lab.diagnose.rivals import last_choice, rivals
+from flora_lab.diagnose.verdict import left_of, named, verdict_of
+from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.threads import one_blas_thread
+
+Effects = Mapping[str, Mapping[str, float]]
+
+NOTHING: Effects = {}
+LATE: Effects = {"clock_offset": {"offset_h": -0.7}}
+SLOW: Effects = {"phototropic_latency": {"delay_h": 0.6}}
+UNEQUAL: Effects = {"lamp_asymmetry": {"right_to_left": 0.5}}
+BOTH: Effects = {"clock_offset": {"offset_h": -0.5}, "draught": {"drive_per_cm_h": 0.12}}
+
+
+@functools.cache
+def explained(which: str, seeds: tuple[int, ...] = (80, 81)) -> Explanation:
+    effects = {"nothing": NOTHING, "late": LATE, "slow": SLOW, "unequal": UNEQUAL, "both": BOTH}[which]
+    with one_blas_thread():
+        return Explainer(scenes_of(seeds, effects), known()).explain()
+
+
+def names(explanation: Explanation) -> tuple[str, ...]:
+    return explanation.found.hypothesis.names()
+
+
+def test_what_was_hidden_is_named() -> None:
+    assert names(explained("late")) == ("clock_offset",)
+    assert explained("late").found.values()[0]["offset_h"] == pytest.approx(-0.7, abs=0.15)
+    assert names(explained("unequal")) == ("lamp_asymmetry",)
+    assert explained("unequal").found.values()[0]["right_to_left"] == pytest.approx(0.5, rel=0.3)
+
+
+def test_two_hidden_effects_are_named_both() -> None:
+    explanation = explained("both")
+    assert set(names(explanation)) == {"clock_offset", "draught"}
+    assert [one.tried.effect.name for one in explanation.accepted] == list(names(explanation))
+    causes = named(explanation, left_of(explanation, known()))
+    assert {cause.effect for cause in causes} == set(names(explanation))
+
+
+def test_a_late_answer_is_named_with_the_clock_that_may_be_wrong() -> None:
+    explanation = explained("slow")
+    (cause,) = named(explanation, left_of(explanation, known()))
+    assert {cause.effect, *cause.confusable_with} >= {"phototropic_latency", "clock_offset"}
+    assert "These runs do not tell it from" in cause.evidence
+    assert next(iter(cause.parameters.values())) == pytest.approx(0.6, abs=0.15)
+
+
+def test_where_nothing_is_hidden_nothing_is_named() -> None:
+    claims = 0
+    for seeds in ((90, 91), (92, 93), (94, 95)):
+        explanation = explained("nothing", seeds)
+        claims += bool(explanation.accepted)
+        if not explanation.accepted:
+            assert explanation.found.hypothesis.causes == ()
+            assert explanation.swing is None
+            assert (
+                verdict_of(named(explanation, left_of(explanation, known())), left_of(explanation, known()))
+                != "explained"
+            )
+    assert claims <= 1
+
+
+def test_one_run_will_do() -> None:
+    explanation = explained("late", (80,))
+    assert names(explanation) == ("clock_offset",)
+    assert explanation.found.traits.shape == (1, 9)
+
+
+@pytest.mark.parametrize("which", ["nothing", "late", "both"])
+def test_an_explanation_holds_together(which: str) -> None:
+    explanation = explained(which)
+    assert 1 <= len(explanation.stages) <= MOST_CAUSES + 1
+    assert len(explanation.accepted) <= MOST_CAUSES
+    assert explanation.null.hypothesis.causes == ()
+    assert len(explanation.found.residuals) == len(explanation.joint.runs) == 2
+    for stage in explanation.stages:
+        there = set(stage.before.hypothesis.names())
+        told = [tried.effect.name for tried in stage.tried]
+        assert len(set(told)) == len(told)
+        assert not there & set(told)
+        slow = [tried for tried in stage.tried if tried.swing is None]
+        assert [t.gain for t in slow] == sorted((t.gain for t in slow), reverse=True)
+        assert set(told) >= {e.name for e in CATALOGUE if e.forms} - there - {"circumnutation", "temperature_growth"}
+        assert "temperature_growth" not in told  # nobody told how warm it was
+        best = slow[0].found
+        assert best is not None
+        assert best.jacobians  # the best one is no guess
+        assert best.hypothesis.names() == (*stage.before.hypothesis.names(), slow[0].effect.name)
+    for one in explanation.accepted:
+        assert one.tried is one.stage.tried[0]
+        assert one.tried.gain >= CLAIM
+
+
+def test_temperature_is_looked_at_where_it_is_told() -> None:
+    with one_blas_thread():
+        scenes = scenes_of((80, 81), {"temperature_growth": {"per_degree": 0.12}}, warm_c=warm_course(24.0))
+        explanation = Explainer(scenes, known()).explain()
+    assert "temperature_growth" in {tried.effect.name for tried in explanation.stages[0].tried}
+    assert names(explanation) == ("temperature_growth",)
+
+
+def test_a_swing_of_the_tip_is_named() -> None:
+    with one_blas_thread():
+        explanation = Explainer(scenes_of((82, 83), swing=(1.7, 0.8)), known()).explain()
+    assert explanation.swing is not None
+    assert explanation.swing.period_h == pytest.approx(1.7, rel=0.05)
+    assert explanation.swing.amplitude_cm == pytest.approx(0.8, rel=0.25)
+    assert [one.tried.effect.name for one in explanation.accepted] == ["circumnutation"]
+    (cause,) = named(explanation, left_of(explanation, known()))
+    assert cause.effect == "circumnutation"
+    for name, (low, high) in cause.interval.items():
+        assert low <= cause.parameters[name] <= high
+
+
+def test_the_order_of_runs_does_not_matter() -> None:
+    there, back = explained("late"), explained("late", (81, 80))
+    assert names(there) == names(back)
+    assert back.found.coordinates == pytest.approx(there.found.coordinates, abs=0.02)
+    assert back.found.evidence == pytest.approx(there.found.evidence, abs=1.0)
+
+
+def test_the_same_runs_are_explained_by_the_same_to_the_bit() -> None:
+    there = explained("late")
+    back = explained.__wrapped__("late")
+    assert there.found.coordinates.tobytes() == back.found.coordinates.tobytes()
+    assert there.found.evidence == back.found.evidence
+
+
+def test_causes_are_told_as_they_are_tried() -> None:
+    told: list[int] = []
+    with one_blas_thread():
+        Explainer(scenes_of((90,)), known(), lambda: told.append(1)).explain()
+    assert len(told) >= len([effect for effect in CATALOGUE if effect.forms]) - 2
+
+
+def test_what_else_might_be_is_kept() -> None:
+    explanation = explained("late")
+    stage = last_choice(explanation)
+    assert stage is not None
+    assert stage.tried[0] is explanation.accepted[-1].tried
+    others = rivals(explanation)
+    assert "clock_offset" not in {tried.effect.name for tried in others}
+    assert all(tried.found is not None for tried in others)
+    assert last_choice(explained("nothing", (90, 91))) is None or explained("nothing", (90, 91)).accepted
+
+
+# The look at each cause
+
+
+def test_the_most_promising_are_fitted_in_full() -> None:
+    explanation = explained("unequal")
+    null = explanation.stages[0].before
+    effects = [BY_NAME[name] for name in ("lamp_asymmetry", "growth_rate", "camera_scale")]
+    fits = {effect.name: fit for effect, fit in search.best_of_each(explanation.joint, null, effects)}
+    assert set(fits) == {effect.name for effect in effects}
+    assert fits["lamp_asymmetry"].evidence == max(fit.evidence for fit in fits.values())
+    assert fits["lamp_asymmetry"].jacobians
+    assert np.isfinite([fit.evidence for fit in fits.values()]).all()
+
+
+def test_every_form_and_every_start_is_looked_at() -> None:
+    assert [cause.form for cause in search.forms_of(BY_NAME["diurnal_growth"])] == [0, 1]
+    starts = list(search._starts(BY_NAME["diurnal_growth"].parameters))
+    assert {float(start[1]) for start in starts} == {3.0, 9.0, 15.0, 21.0}
+    hours = {round(float(np.exp(start[0])), 6) for start in search._starts(BY_NAME["adaptation"].parameters)}
+    assert hours == {0.8, 1.6, 3.2}

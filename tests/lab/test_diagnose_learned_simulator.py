@@ -1,0 +1,172 @@
+"""What a learned simulator lacks as a whole: the right clock, and a memory; and runs of a simulator itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from diagnose_runs import LAMPS, QUIET, TYPICAL, base, run_of, turns
+from simulator_fakes import straight_run, write_straight
+
+from flora_common.geometry import FloatArray
+from flora_lab.diagnose import emulated, stored_base
+from flora_lab.diagnose.inputs import Runs
+from flora_lab.diagnose.learned_simulator import faults_of
+from flora_lab.simulator.growing import DataRange
+from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
+from flora_lab.simulator.load import KINDS
+from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.store import Provenance, Stored, read_stored, write_simulator
+
+PROVENANCE = Provenance(recipe="test", seed=0, software="test")
+GROWTHS = (0.1, 0.12, 0.14, 0.11, 0.13)
+
+
+class Forgetful(Simulator[FloatArray]):
+    """Bends towards the lit lamp as fast as plants do on the mean, from the stem alone."""
+
+    kind: ClassVar[str] = "forgetful"
+    step_s = 300.0
+
+    @classmethod
+    def from_stored(cls, stored: Stored) -> Forgetful:
+        return cls()
+
+    def start(
+        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
+    ) -> FloatArray:
+        return points_cm.copy()
+
+    def watch(self, history: History) -> FloatArray:
+        return np.asarray(history.points_cm[-1]).copy()
+
+    def step(
+        self, state: FloatArray, light: FloatArray, dt_s: float, covariates: Covariates | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        hours = dt_s / 3600.0
+        along = np.linspace(0.0, 1.0, 10) ** 2
+        after = state.copy()
+        after[..., 0] += 0.15 * hours * along * (light[:, 1] - light[:, 0])[:, None]
+        after[..., 1] *= 1.0 + 0.018 * hours
+        return after, after
+
+    def stems_cm(self, state: FloatArray) -> FloatArray:
+        return state
+
+    def is_beyond_data(self, state: FloatArray) -> Any:
+        return np.zeros(len(state), dtype=np.bool_)
+
+
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(KINDS, "straight", "simulator_fakes:StraightPlant")
+    monkeypatch.setitem(KINDS, "forgetful", f"{__name__}:Forgetful")
+
+
+def rod() -> RodSimulator:
+    return stored_base.simulator_of(base(), LAMPS, DataRange(60.0, 30.0), None)
+
+
+def stored(path: Path, simulator: Simulator[Any]) -> Stored:
+    growing = simulator if isinstance(simulator, RodSimulator) else None
+    write_simulator(
+        path,
+        kind=simulator.kind,
+        step_s=simulator.step_s,
+        weights=growing.weights() if growing else {"none": np.zeros(1)},
+        scales=growing.scales() if growing else {},
+        provenance=PROVENANCE,
+    )
+    return read_stored(path)
+
+
+def plants(count: int = 4) -> list[MeasuredRun]:
+    """Plants of the law: they remember their light for some twenty minutes, and bend on for hours."""
+    return [run_of(seed, chance=QUIET, light=turns(24.0, 3.0)) for seed in range(count)]
+
+
+def straight(growths: tuple[float, ...] = GROWTHS) -> list[MeasuredRun]:
+    return [straight_run(f"bean{i}", hours=24.0, growth_cm_h=growth) for i, growth in enumerate(growths)]
+
+
+def test_a_simulator_without_memory_is_told(tmp_path: Path) -> None:
+    faults = {fault.effect: fault for fault in faults_of(stored(tmp_path / "forgetful", Forgetful()), plants())}
+    fault = faults["memory"]
+    assert fault.p_value < 0.01
+    assert 0.5 < fault.confidence <= 1.0
+    hours = fault.parameters["time_constant_h"]
+    low, high = fault.interval["time_constant_h"]
+    assert 0.05 < low < hours < high < 24.0
+    assert "does not depend on what went before" in fault.evidence
+
+
+def test_a_growing_simulator_remembers(tmp_path: Path) -> None:
+    faults = faults_of(stored(tmp_path / "rod", rod()), plants())
+    assert [fault.effect for fault in faults] == []
+
+
+@pytest.mark.parametrize("speed", [3.0, 0.5])
+def test_a_clock_that_is_wrong_is_told_with_its_factor(tmp_path: Path, speed: float) -> None:
+    fast = read_stored(write_straight(tmp_path / "fast.simulator", speed=speed))
+    (fault,) = faults_of(fast, straight())
+    assert fault.effect == "time_scale"
+    assert fault.parameters["factor"] == pytest.approx(speed, rel=0.1)
+    low, high = fault.interval["factor"]
+    assert low <= fault.parameters["factor"] <= high
+    assert low > 1.0 or high < 1.0
+    assert f"{speed:.1f}" in fault.evidence
+    assert "fast as real ones" in fault.evidence
+
+
+def test_few_plants_are_less_sure_of_a_clock(tmp_path: Path) -> None:
+    fast = read_stored(write_straight(tmp_path / "fast.simulator", speed=3.0))
+    (few,) = faults_of(fast, straight(GROWTHS[:2]))
+    (many,) = faults_of(fast, straight((*GROWTHS, 0.115, 0.125)))
+    assert few.parameters["factor"] == pytest.approx(3.0, rel=0.1)
+    assert few.confidence <= many.confidence
+
+
+def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:
+    assert faults_of(read_stored(write_straight(tmp_path / "right.simulator")), straight()) == []
+
+
+# Runs of a simulator itself
+
+
+def measured(*runs: MeasuredRun) -> Runs:
+    return Runs((), runs, ())
+
+
+def test_a_simulator_is_learned_from_its_own_runs() -> None:
+    simulator = rod()
+    first = run_of(1, hours=12.0)
+    told = emulated.reference_of(simulator, measured(first, run_of(2, hours=12.0)))
+    assert len(told.measured) == emulated.COUNT
+    for i, run in enumerate(told.measured):
+        assert run.hours == emulated.HOURS
+        assert run.points_cm[0].tolist() == (first if i % 2 == 0 else run_of(2, hours=12.0)).points_cm[0].tolist()
+        assert run.is_measured.all()
+        assert run.lamps == LAMPS
+        assert (run.light.sum(axis=1) == 1.0).all()
+    ends = np.array([run.points_cm[-1, -1, 1] for run in told.measured])
+    assert ends.std() > 0.3  # plants differ
+    dwells = [np.diff(np.flatnonzero(np.diff(run.light[:, 0]) != 0.0)) for run in told.measured]
+    assert all((dwell == 72).all() for dwell in dwells[::2])
+    assert all(len(set(dwell.tolist())) > 3 for dwell in dwells[1::2])
+    # left is first as often as right, so that nothing leans to a side by the schedule
+    assert {run.light[0].tolist()[0] for run in told.measured} == {0.0, 1.0}
+
+
+def test_simulated_runs_are_the_same_every_time() -> None:
+    told = [emulated.reference_of(rod(), measured(run_of(1, hours=12.0))) for _ in range(2)]
+    assert all(a.points_cm.tobytes() == b.points_cm.tobytes() for a, b in zip(*(t.measured for t in told), strict=True))
+
+
+def test_a_simulator_without_chance_gives_the_same_plant_again() -> None:
+    told = emulated.reference_of(Forgetful(), measured(run_of(1, hours=12.0)))
+    assert told.measured[0].points_cm.tobytes() == told.measured[4].points_cm.tobytes()
+    assert np.abs(told.measured[0].points_cm[-1] - told.measured[1].points_cm[-1]).max() > 0.1
+    assert TYPICAL.shape == (9,)
