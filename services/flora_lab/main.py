@@ -18,11 +18,25 @@ from flora_lab.publish import command as publish
 from flora_lab.publish import signing_command as signing
 from flora_lab.report import command as report
 from flora_lab.rollout import command as rollout
+from flora_lab.serve import command as serve
 from flora_lab.track import command as track
 from flora_lab.train import command as train
 
 PROGRAM: Final = "flora-lab"
-SUBCOMMANDS: Final = (track, report, dataset, rollout, train, evolve, evaluate, diagnose, paper, signing, publish)
+SUBCOMMANDS: Final = (
+    track,
+    report,
+    dataset,
+    rollout,
+    train,
+    evolve,
+    evaluate,
+    diagnose,
+    paper,
+    signing,
+    publish,
+    serve,
+)
 
 
 def build_app() -> typer.Typer:

@@ -13,6 +13,7 @@ from flora_common.messages.envelope import (
     Fitness,
     Gain,
     Message,
+    Millimetres,
     Milliseconds,
     Name,
     OptionalSha256,
@@ -33,12 +34,15 @@ MissedBecause = Literal["camera_hung", "camera_gone", "bad_picture", "disk_full"
 State = Literal["starting", "ready", "degraded", "fault"]
 Stage = Literal["waiting", "stored", "refused"]
 OfferStage = Literal["received", "refused", "shadowing", "steering", "returned"]
+SimulatedPlant = Literal["typical", "watched"]
+Verdict = Literal["nothing_wrong", "explained", "unexplained", "failed"]
 
 CHUNK_BYTES: Final = 16 * 1024
 """Of a file that is offered, before base64; every chunk but the last has exactly this many."""
 MAX_CHUNKS: Final = 62
 """Of the largest controller file, 1 MB."""
 MOST_SHADOW_TICKS: Final = 100_000
+MOST_CAUSES: Final = 20
 OfferId = Annotated[
     str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)", max_length=16, description="drawn anew by whoever offers")
 ]
@@ -259,6 +263,45 @@ class ControllerAnswer(Message, kw_only=True, frozen=True):
     shadow_ticks_left: Count = 0
     steers: Annotated[Sentence, Meta(description="name of the controller that steers now")] = ""
     reason: Sentence = ""
+
+
+@message("departure", owner="flora-lab", period="none")
+class Departure(Message, kw_only=True, frozen=True):
+    """A plant departs from its simulator while its run lasts, or is as expected again. Said when that changes."""
+
+    run: Annotated[Name, Meta(description="name of the run folder")]
+    is_departed: bool
+    hours: Annotated[Count, Meta(description="whole hours of the run that were looked at")] = 0
+    tip_error_mm: Annotated[
+        Millimetres, Meta(description="distance of measured and simulated tip, mean over the last hour")
+    ] = 0.0
+    right_mm: Annotated[Millimetres, Meta(description="how far the measured tip is to the right of it")] = 0.0
+    up_mm: Annotated[Millimetres, Meta(description="how far it is above it")] = 0.0
+    expected_mm: Annotated[
+        Millimetres, Meta(description="distance that chance and individuals allow: 95 % of plants are within it")
+    ] = 0.0
+    compared_with: Annotated[
+        SimulatedPlant, Meta(description="the typical plant, or this one after it was watched for a day")
+    ] = "typical"
+    sentence: Sentence = ""
+
+
+@message("diagnosis", owner="flora-lab", period="none")
+class DiagnosisFound(Message, kw_only=True, frozen=True):
+    """What was found in a run that has ended, or that it could not be diagnosed."""
+
+    run: Annotated[Name, Meta(description="name of the run folder")]
+    verdict: Verdict
+    plant: Annotated[str, Meta(max_length=200)] = ""
+    causes: Annotated[
+        tuple[Name, ...], Meta(max_length=MOST_CAUSES, description="effects that were found, the surest first")
+    ] = ()
+    confidence: Annotated[
+        tuple[Share, ...], Meta(max_length=MOST_CAUSES, description="of each of them: its probability")
+    ] = ()
+    path: Annotated[str, Meta(max_length=500, description="folder of the diagnosis, at the lab's machine")] = ""
+    track_sha256: OptionalSha256 = ""
+    sentence: Sentence = ""
 
 
 @message("health", owner="every service", period="10 s", per_source=True)

@@ -76,4 +76,7 @@ def _progress(silent: bool) -> Iterator[tuple[Callable[[str, int], Callable[[], 
             task = bars.add_task(name, total=total)
             return lambda: bars.advance(task)
 
-        yield stage, (lambda _: None) if silent else (lambda text: console.print(f"note: {text}", markup=False))
+        def note(text: str) -> None:
+            console.print(f"note: {text}", markup=False, soft_wrap=True)
+
+        yield stage, (lambda _: None) if silent else note

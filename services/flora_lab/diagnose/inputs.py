@@ -76,6 +76,23 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
     return Runs(tuple(tracks), tuple(measured), tuple(notes))
 
 
+def read_holdout(paths: Sequence[Path], measured: Runs) -> Runs | None:
+    """Runs to judge by; None where there are none.
+
+    Raises:
+        BadInput: see :func:`read_runs`; or one that is also to be diagnosed: it would judge what was fitted to it.
+    """
+    if not paths:
+        return None
+    held_out = read_runs(paths)
+    own = {track.sha256: track for track in measured.tracks}
+    for track in held_out.tracks:
+        twin = own.get(track.sha256)
+        if twin is not None:
+            raise BadInput(f"{track.file}: is also to be diagnosed ({twin.file}); a run that is held out cannot be")
+    return held_out
+
+
 def read_reference(folder: Path, measured: Runs) -> Runs:
     """All runs and tracks in a folder, to learn from.
 

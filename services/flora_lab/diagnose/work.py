@@ -15,7 +15,7 @@ from flora_lab.diagnose import chance, emulated, stored_base
 from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import Explainer, Explanation
 from flora_lab.diagnose.gain import measure_gain
-from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
+from flora_lab.diagnose.inputs import Runs, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.next_experiment import next_experiment
@@ -147,7 +147,7 @@ def diagnose(
         BadInput: anything that cannot be read, or is too little.
     """
     runs = read_runs(paths, note)
-    further = read_runs(holdout) if holdout else None
+    further = read_holdout(holdout, runs)
     start = start_from(runs, simulator, reference, stage)
     scenes = runs.scenes(start.usual_c)
     step = stage("looking for causes", len(CATALOGUE))
