@@ -122,7 +122,7 @@ def test_intervals_hold_the_value(name: str, data: st.DataObject, sd: float) -> 
         low, high = cause.interval[p.name]
         assert low < cause.parameters[p.name] < high
         if p.scale == "day":
-            assert 0.0 <= cause.parameters[p.name] < 24.0
+            assert 0.0 <= cause.parameters[p.name] <= 24.0
         narrower = cause_of({name: 50.0}, name, coordinates, sd=0.5 * sd).interval[p.name]
         assert low <= narrower[0] < narrower[1] <= high
 

@@ -11,8 +11,8 @@ import numpy as np
 from flora_lab.diagnose import record
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.scene import Scene
-from flora_lab.serve import evidence, expecting
-from flora_lab.serve.expecting import Hour, Recognised
+from flora_lab.serve import evidence, expecting, pushes
+from flora_lab.serve.expecting import Hour, Recognised, Usual
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.threads import one_blas_thread
@@ -68,8 +68,8 @@ class _Follower:
         self, run: MeasuredRun, law: ExtendedLaw, usual_c: float | None, known: Knowledge, false_alarms: float
     ) -> None:
         self._run, self._law, self._usual_c = run, law, usual_c
-        self._base = known.base.of_single_runs()
-        self._usual = evidence.largest_usual(known.residuals.misfit, 0.5 * false_alarms)
+        most = evidence.largest_usual(known.residuals.misfit, 0.5 * false_alarms)
+        self._usual = Usual(known.base.of_single_runs(), most, pushes.usual_sizes(known.errors))
         self._false_alarms = false_alarms
         scene = Scene(run, law, usual_c)
         self._rows_an_hour = scene.per_window
@@ -87,13 +87,13 @@ class _Follower:
     def as_expected(self, watched: Watched) -> Watched:
         """Some hours more of a plant that has not departed; up to the one in which it does."""
         since = len(watched.hours)
-        plant = watched.plant or expecting.unknown(self._base)
+        plant = watched.plant or expecting.unknown(self._usual.base)
         scene = self._without(*watched.left_out)
         if expecting.is_to_be_recognised(plant, since):
-            plant = expecting.recognised(scene, self._base, plant, since)
+            plant = expecting.recognised(scene, self._usual.base, plant, since)
         watched = msgspec.structs.replace(watched, plant=plant)
         until = min(self.whole_hours, since + expecting.AGAIN_H)
-        for hour in expecting.hours_of(scene, self._base, self._usual, plant, range(since, until)):
+        for hour in expecting.hours_of(scene, self._usual, plant, range(since, until)):
             watched = judged(watched, hour, self._false_alarms)
             if watched.departed_at is not None:
                 break
@@ -103,16 +103,16 @@ class _Follower:
         """One hour more of a plant that has departed, beside what was to be expected before it did."""
         assert watched.departed_at is not None
         now, since = len(watched.hours), watched.departed_at - 1
-        plant = watched.plant or expecting.unknown(self._base)
+        plant = watched.plant or expecting.unknown(self._usual.base)
         scene = self._without(*watched.left_out, (since, now))
-        hours = expecting.hours_of(scene, self._base, self._usual, plant, range(now, now + 1))
+        hours = expecting.hours_of(scene, self._usual, plant, range(now, now + 1))
         watched = msgspec.structs.replace(watched, hours=(*watched.hours, *hours))
         begin = now + 1 - BACK_H
         if begin < since + 1 or not is_near(watched.hours[-BACK_H:]):
             return watched
         scene = self._without(*watched.left_out, (since, begin))
-        afresh = expecting.hours_of(scene, self._base, self._usual, plant, range(begin, now + 1))
-        if not is_back(afresh, self._usual):
+        afresh = expecting.hours_of(scene, self._usual, plant, range(begin, now + 1))
+        if not is_back(afresh, self._usual.mean_square):
             return watched
         left_out = (*watched.left_out, (since, begin))
         return msgspec.structs.replace(watched, bets_since=now + 1, departed_at=None, left_out=left_out)

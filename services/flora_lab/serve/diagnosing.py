@@ -56,15 +56,13 @@ class Child:
 
     Args:
         arguments: of ``flora-lab``.
-        output: folder that it works in alone.
+        held: lock of the folder that it works in alone; it is the child's from now on.
 
     Raises:
-        StillBusy: another process does.
         OSError: it cannot be started.
     """
 
-    def __init__(self, arguments: Sequence[str], output: Path) -> None:
-        held = held_folder(output)
+    def __init__(self, arguments: Sequence[str], held: int) -> None:
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the process says something
         try:
             self._process = subprocess.Popen(

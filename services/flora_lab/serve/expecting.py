@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import msgspec
@@ -51,6 +51,21 @@ class Hour(msgspec.Struct, frozen=True):
     expected_mm: float
 
 
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """What is known of plants that are as the simulator says.
+
+    Attributes:
+        base: of their constants and of chance, for runs looked at one by one.
+        mean_square: of innovations, at most.
+        pushes: how much they seem to be pushed, see :func:`flora_lab.serve.pushes.usual_sizes`.
+    """
+
+    base: Base
+    mean_square: float
+    pushes: list[Array]
+
+
 class Recognised(msgspec.Struct, frozen=True):
     """The constants of a plant, as far as they are known.
 
@@ -70,19 +85,18 @@ def unknown(base: Base) -> Recognised:
     return Recognised(tuple(map(float, base.mean)), (0.0,) * len(START_SD), 0)
 
 
-def hours_of(scene: Scene, base: Base, usual: float, plant: Recognised, hours: range) -> list[Hour]:
+def hours_of(scene: Scene, usual: Usual, plant: Recognised, hours: range) -> list[Hour]:
     """Some hours of a run, each beside what those before it let expect.
 
     What comes after an hour has no part in what is said of it, but for the first stem, which is the mean of three.
 
     Args:
         scene: all of the run up to now.
-        base: what is known of plants, for runs looked at one by one.
-        usual: mean square of innovations, at most.
+        usual: what is known of plants.
         plant: its constants, about which all is taken to be linear.
         hours: numbers of hours, from 0.
     """
-    return _hours(*_ready(scene, base, plant), base, usual, plant, hours)
+    return _hours(*_ready(scene, usual.base, plant), usual, plant, hours)
 
 
 def recognised(scene: Scene, base: Base, before: Recognised, hours: int) -> Recognised:
@@ -120,8 +134,8 @@ def _found(plant: Recognised) -> Found:
     return Found(Hypothesis(), np.zeros(0), np.array([plant.traits]), np.array([plant.start]))
 
 
-def _hours(own: Ready, answers: Answers, base: Base, usual: float, plant: Recognised, hours: range) -> list[Hour]:
-    scene = own.scene
+def _hours(own: Ready, answers: Answers, usual: Usual, plant: Recognised, hours: range) -> list[Hour]:
+    scene, base = own.scene, usual.base
     m = scene.size
     fit = _found(plant)
     told, slopes = Joint([own], base).features_of(fit, 0)
@@ -131,18 +145,25 @@ def _hours(own: Ready, answers: Answers, base: Base, usual: float, plant: Recogn
     prior = scipy.linalg.block_diag(base.spread, np.diag(START_SD**2))
     root_of_chance = np.linalg.inv(own.inverse_root[:m, :m])
     by_plant = own.inverse_root[:m, :m] @ slopes[:m]
-    whole = np.eye(m) + by_plant @ prior @ by_plant.T
+    units = pushes.of_run(scene, answers, told[:m])
+    by_push = own.inverse_root[:m, :m] @ np.concatenate(
+        [unit * size for unit, size in zip(units, usual.pushes, strict=True)], axis=1
+    )
+    whole = np.eye(m) + by_plant @ prior @ by_plant.T + by_push @ by_push.T
     root = root_of_chance @ scipy.linalg.cholesky(whole, lower=True, check_finite=False)
     white = scipy.linalg.solve_triangular(root, surprise, lower=True, check_finite=False)
     typical = scene.simulated(Lanes(base.mean[None], np.zeros((1, len(START_SD))), [Change()]))[0]
-    on_pushes = [pushes.won(root, white, push, usual) for push in pushes.of_run(scene, answers, told[:m])]
+    most = usual.mean_square
+    on_pushes = [
+        pushes.won(root, white, push.size * unit, most) for unit, push in zip(units, pushes.PUSHES, strict=True)
+    ]
     # A plant that departed on its first day was never known as it should be.
     watched = plant.hours >= WATCHED_H
     found = []
     for hour in hours:
         rows = np.flatnonzero(scene.window == hour)
         squares, count = float(np.sum(white[rows] ** 2)), len(rows)
-        bets = (*map(float, evidence.wider(squares, count, usual)), *(float(on[rows].sum()) for on in on_pushes))
+        bets = (*map(float, evidence.wider(squares, count, most)), *(float(on[rows].sum()) for on in on_pushes))
         error_mm, expected_mm = None, 0.0
         if count:
             error_mm, expected_mm = _tip(scene, hour, root, white, surprise, None if watched else typical)

@@ -1,35 +1,51 @@
 """Some things that would push a plant, or its record, all the time: what is bet on beside wider chance.
 
-They are few and plain, to be sooner than a diagnosis; which cause it is, is the diagnosis' to say.
+They are few and plain, to be sooner than a diagnosis; which cause it is, is the diagnosis' to say. A little of each is
+seen in healthy runs too: that much is expected, and the bets are on more.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from flora_lab.diagnose import usual_errors
 from flora_lab.diagnose.scene import FEATURES, Answers, Scene
+from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import RUN_H
 
 Array = npt.NDArray[Any]
 
-STEADY_PER_CM_H: Final = 0.05
-"""To one side, by day and night."""
-ONE_LAMP_SHARE: Final = 0.4
-"""By which one lamp pulls more, and the other less."""
-DAILY_GROWTH_SHARE: Final = 0.4
-TILT_DEG: Final = 4.0
-"""Of the camera, from the start on, and growing as much over three days."""
-COUNT: Final = 4
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One of them.
+
+    Attributes:
+        size: that is bet on, its standard deviation.
+        effects: of the catalogue, that tell how much of it healthy runs seem to show, one for each of its columns.
+    """
+
+    size: float
+    effects: tuple[tuple[str, int], ...]
+
+
+PUSHES: Final = (
+    Push(0.05, (("draught", 0),)),  # curvature per cm and hour, to one side
+    Push(0.8, (("lamp_asymmetry", 0),)),  # logarithm of how much more one lamp pulls than the other
+    Push(0.4, (("diurnal_growth", 0), ("diurnal_growth", 0))),  # of growth, by the time of day
+    Push(4.0, (("camera_roll", 0), ("camera_drift", 0))),  # degrees of the camera: all the time, and more with time
+)
 _POINTS: Final = 9.0
 _DAY_H: Final = 24.0
 
 
 def of_run(scene: Scene, answers: Answers, simulated: Array) -> list[Array]:
-    """What each of them would do to the features of a run, as a root of its covariance, shape (m, k).
+    """What each of them would do to the features of a run if its size were 1, as a root of its covariance, (m, k).
 
     Args:
         scene: the run.
@@ -38,15 +54,22 @@ def of_run(scene: Scene, answers: Answers, simulated: Array) -> list[Array]:
     """
     to, at_h = answers.to, answers.at_h
     steps = np.minimum((at_h["gain"] / scene.step_h).astype(np.int64), len(scene.light) - 1)
-    left_more = scene.light[steps, 0] - scene.light[steps, 1]
+    right_more = 0.5 * (scene.light[steps, 1] - scene.light[steps, 0])
     day = 2.0 * np.pi * at_h["growth"] / _DAY_H
-    tilt = np.radians(TILT_DEG) * _turned(simulated)
+    tilt = np.radians(_turned(simulated))
     return [
-        STEADY_PER_CM_H * to["bias"].sum(axis=1)[:, None],
-        ONE_LAMP_SHARE * (to["gain"] @ left_more)[:, None],
-        DAILY_GROWTH_SHARE * to["growth"] @ np.stack([np.cos(day), np.sin(day)], axis=1),
+        to["bias"].sum(axis=1)[:, None],
+        (to["gain"] @ right_more)[:, None],
+        to["growth"] @ np.stack([np.cos(day), np.sin(day)], axis=1),
         np.stack([tilt, tilt * scene.time_h[scene.window] / RUN_H], axis=1),
     ]
+
+
+def usual_sizes(errors: UsualErrors) -> list[Array]:
+    """How much of each healthy runs seem to show, arrays of shape (k,): no law is right in everything."""
+    known = usual_errors.causes()
+    at = [[known.index(effect) for effect in push.effects] for push in PUSHES]
+    return [np.sqrt(errors.mean[own] ** 2 + errors.sd[own] ** 2 * (1.0 + 1.0 / errors.runs)) for own in at]
 
 
 def _turned(simulated: Array) -> Array:
@@ -63,7 +86,7 @@ def won(root: Array, white: Array, push: Array, usual: float) -> Array:
     Args:
         root: of the covariance of the features without it, lower triangular, shape (m, m).
         white: innovations without it, shape (m,).
-        push: see :func:`of_run`.
+        push: see :func:`of_run`, of the size that is bet on.
         usual: mean square of innovations, at most.
     """
     own = scipy.linalg.solve_triangular(root, push, lower=True, check_finite=False)

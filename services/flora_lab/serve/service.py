@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -134,7 +135,9 @@ class Service:
                 return
             self._app.trouble(f"watch {rig.name}", "")
             rig.watch.take(look, looked, against)
-            self._app.log.debug("looked", rig=rig.name, run=look.run, hours=looked.hours, departed=looked.departed_at)
+            self._app.log.debug(
+                "looked", what=f"{rig.name}/{look.run}", hours=looked.hours, departed=looked.departed_at
+            )
             self._say_departures()
 
         rate = self._app.config.false_alarms
@@ -199,20 +202,24 @@ class Service:
         if entry is None:
             return
         try:
-            self._casebook.begins(entry)
-            child = Child(self._casebook.arguments(entry, self._simulator), self._output)
+            held = diagnosing.held_folder(self._output)
         except StillBusy as problem:
-            self._casebook.given_up(entry)
             self._app.trouble("busy", str(problem))
             return
         self._app.trouble("busy", "")
-        self._app.log.event("diagnosing", rig=entry.rig, run=entry.run, attempt=entry.attempts)
+        try:
+            self._casebook.begins(entry)
+        except DiskFull:
+            os.close(held)
+            raise
+        child = Child(self._casebook.arguments(entry, self._simulator), held)
+        self._app.log.event("diagnosing", what=_name(entry), attempt=entry.attempts)
         self._child = (child, entry)
         self._app.on_readable(child.ends_fd, self._ended)
 
     def _check_time(self, child: Child, entry: Entry) -> None:
         if time.monotonic() - child.began_s > self._app.config.longest_s:
-            self._app.log.warning("too_long", rig=entry.rig, run=entry.run)
+            self._app.log.warning("too_long", what=_name(entry))
             child.end()
 
     def _ended(self) -> None:
@@ -225,7 +232,7 @@ class Service:
         child.close()
         self._child = None
         self._casebook.ended(entry, ended, time.monotonic())
-        self._app.log.event("diagnosed", rig=entry.rig, run=entry.run, stage=entry.stage, verdict=entry.verdict)
+        self._app.log.event("diagnosed", what=_name(entry), stage=entry.stage, verdict=entry.verdict)
         self.scan()
 
     def _tell(self) -> None:
@@ -254,6 +261,10 @@ class Service:
                 self._casebook.given_up(entry)
         except DiskFull as problem:
             self._app.log.problem("not_kept", str(problem))
+
+
+def _name(entry: Entry) -> str:
+    return f"{entry.rig}/{entry.run}"
 
 
 def build(app: App[LabSection]) -> None:
