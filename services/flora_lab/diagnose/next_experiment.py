@@ -1,9 +1,10 @@
 """Which run to make next: the light schedule under which the causes that are still possible part the most.
 
 For each cause that may still be, and each schedule that a rig can run, it is worked out what a further run would be
-like: a new plant, the cause as strong as it was found, everything as uncertain as it is. All is linear there, so that
-both predictions are normal distributions, and how many nats one cause is expected to lose against another if that one
-is the true one is their divergence (Kullback and Leibler 1951). No run is simulated by chance.
+like: a typical plant, the cause as strong as it was found. What another cause would lose on that run, with the plant
+and the parameters that suit it best, is what the run would tell. Nothing is simulated by chance. In drawn cases most
+pairs of schedules came out in the order that was told, with nats between half of what was told and a little more than
+all of it; six-hour turns told less of a rolled camera than they were said to.
 """
 
 from __future__ import annotations
