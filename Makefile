@@ -13,7 +13,7 @@ SCALE  ?= small
 CASES  ?= 400
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery paper pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery paper pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -67,6 +67,9 @@ format: setup  ## put the code into its form
 
 messages: setup  ## write the message reference page and JSON Schema from the catalogue
 	@$(BIN)/python -m flora_common.messages docs/reference
+
+docs: messages  ## write all pages and pictures that are made from the code: messages, configuration, power budget, box, wiring
+	@for script in configuration power box wiring; do $(BIN)/python docs/generate/$$script.py || exit 1; done
 
 fuzz: setup  ## a million malformed frames against the services
 	@FLORA_FUZZ=1000000 $(BIN)/python -m pytest tests/rig/test_bus_fuzz.py

@@ -42,18 +42,33 @@ class ClockSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[rig.clock]``: the machine's time, or the virtual grow box's."""
 
     kind: Literal["system", "twin"] = "system"
+    """``twin`` is the virtual grow box, whose time may stand still or run ahead."""
+
     twin: Endpoint = "ipc:///run/flora/twin"
+    """Where flora-twin answers."""
 
 
 class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[rig]``: what all services share."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")] = "box1"
+    """First part of every topic; small letters, digits, - and _."""
+
     run_dir: str = "/var/lib/flora/runs/current"
+    """The present run's folder, with its ``run.toml``."""
+
     state_dir: str = "/var/lib/flora/state"
+    """What services keep over a restart; one folder per rig."""
+
     bus_publish: Endpoint = "ipc:///run/flora/bus-publish"
+    """Where flora-bus hears: all publish there."""
+
     bus_subscribe: Endpoint = "ipc:///run/flora/bus-subscribe"
+    """Where flora-bus says: all subscribe there; another endpoint than ``bus_publish``."""
+
     health_every_s: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 10.0
+    """Real seconds between two ``health`` messages of a service."""
+
     clock: ClockSection = ClockSection()
 
     @property

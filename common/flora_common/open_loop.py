@@ -18,7 +18,10 @@ class OpenLoopSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[controller.open_loop]`` and ``[led.open_loop]``: hours for each lamp, and which one begins."""
 
     hours: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 6.0
+    """By the run's time, for which a lamp shines before it is the other one's turn."""
+
     first: Side = "left"
+    """The lamp that shines from the run's beginning."""
 
 
 PAPERS_TURNS: Final = OpenLoopSection()

@@ -27,18 +27,38 @@ Tolerance = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
 class CaptureSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[capture]``. ``source`` is a camera number, a device, a film, a run folder; for ``virtual`` it is ``twin``."""
+    """``[capture]``; the size of the pictures is that of the run's ``run.toml``."""
 
     backend: Literal["picamera2", "opencv", "replay", "virtual"] = "picamera2"
+    """A Pi camera; a V4L2 camera or a film; an old run; the virtual grow box."""
+
     source: str = "0"
+    """Camera number, device, film or run folder, as the backend wants; not used by ``virtual``."""
+
     twin: str = ""
+    """For ``virtual``: where flora-twin answers; empty for that of ``[rig.clock]``."""
+
     exposure_us: Positive = 20_000.0
+    """Exposure time in microseconds, the same for all pictures."""
+
     analogue_gain: Annotated[float, msgspec.Meta(ge=1.0, le=64.0)] = 1.0
+    """The sensor's gain, the same for all pictures."""
+
     colour_gains: tuple[ColourGain, ColourGain] = (1.9, 1.6)
+    """White balance: gains of red and blue, the same for all pictures."""
+
     exposure_tolerance: Tolerance = 0.02
+    """Relative difference of the exposure time up to which a picture counts as taken as asked: sensors count in
+    lines."""
+
     gain_tolerance: Tolerance = 0.05
+    """The same for gains."""
+
     jpeg_quality: Annotated[int, msgspec.Meta(ge=30, le=100)] = 93
+    """Of the pictures that ``picamera2`` and ``opencv`` take."""
+
     hang_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, lt=30.0)] = 25.0
+    """Real seconds after which a camera that gives no picture is killed and started anew."""
 
     def settings(self, camera: CameraSection, twin: str) -> CameraSettings:
         """What the camera process is told."""

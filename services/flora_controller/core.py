@@ -40,16 +40,33 @@ BuiltIn = Literal["open-loop", "tip-follower", "waypoint", "dark"]
 
 
 class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[controller]``. ``use`` is a built-in name or the path of a ``.controller.json`` file."""
+    """``[controller]``: what steers, whom it believes, and what happens where it is blind."""
 
     use: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "open-loop"
+    """``open-loop``, ``tip-follower``, ``waypoint``, ``dark``, or the path of a ``.controller.json`` file."""
+
     blind_hold_ticks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 12
+    """Ticks without a stem for which the last light is held; then the open-loop schedule runs."""
+
     stop_height_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 21.0
+    """Height of the tip at which the run counts as over."""
+
     trust: Trust = "if-signed"
+    """Signature of a file that ``use`` names: a trusted one, a trusted one or none, not looked at; offers always need
+    one."""
+
     keys_dir: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "/etc/flora/keys"
+    """Folder of the public keys, ``*.pub``, of those whose signature counts."""
+
     task: TaskRule = "same"
+    """What a file's task must have in common with the run: target and obstacle (``same``), the target, or nothing."""
+
     shadow_ticks: Annotated[int, msgspec.Meta(ge=0, le=MOST_SHADOW_TICKS)] = 0
+    """Ticks with a stem that every offer spends in shadow, whatever it asks for itself."""
+
     most_switches_per_h: Annotated[int, msgspec.Meta(ge=1, le=1000)] = MOST_SWITCHES_PER_H
+    """Switches within an hour beyond which an offered controller is given up."""
+
     open_loop: OpenLoopSection = OpenLoopSection()
     tip_follower: TipFollowerSection = TipFollowerSection()
     waypoint: WaypointSection = WaypointSection()

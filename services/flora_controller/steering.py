@@ -43,8 +43,9 @@ class WaypointSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     guard_cm: Cm = 1.2
     """A stem nearer to the obstacle than this is steered away, whatever the target wants."""
     release_cm: Cm = 1.7
-    """… until it is this far away again."""
+    """A stem that was steered away is left alone again when it is this far from the obstacle."""
     deadband_cm: Cm = 0.5
+    """The lamp stays while the tip is this near to the target's x."""
 
 
 @dataclass(frozen=True, slots=True)

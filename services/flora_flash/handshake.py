@@ -24,19 +24,32 @@ RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 
 
 class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[flash]``. Time-outs are in real seconds: they guard devices.
-
-    ``line`` is a GPIO line of ``chip``, on a Pi the BCM number. ``twin`` is that of ``[rig.clock]`` unless stated.
-    """
+    """``[flash]``. Time-outs are in real seconds: they guard devices."""
 
     backend: Literal["gpio", "virtual", "none"] = "gpio"
+    """``none`` is for a rig without a flash lamp."""
+
     chip: str = "/dev/gpiochip0"
+    """GPIO chip of the lamp; ``gpiodetect`` lists them."""
+
     line: Annotated[int, msgspec.Meta(ge=0, le=1023)] = 17
+    """GPIO line of the lamp on that chip; on a Pi the BCM number."""
+
     active_low: bool = False
+    """Whether the lamp is on while the line is low."""
+
     twin: str = ""
+    """For ``virtual``: where flora-twin answers; empty for that of ``[rig.clock]``."""
+
     frame_timeout_s: RealSeconds = 45.0
+    """Real seconds after which the lamp goes dark without a photograph; longer than flora-capture's
+    ``hang_timeout_s``."""
+
     answer_timeout_s: RealSeconds = 60.0
+    """Real seconds for which lock-step waits for the lamps' answer to a tick."""
+
     wait_for_background: bool = False
+    """Whether a run begins only when there are pictures of the empty setup."""
 
 
 class FlashService:

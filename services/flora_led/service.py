@@ -23,18 +23,30 @@ Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
 
 
 class LedSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[led]``. The lease guards the plant, so it is in rig time. ``twin`` is that of ``[rig.clock]`` unless stated.
-
-    ``colour`` is red, green, blue; bending answers to blue, the rest lets the plant and people see.
-    """
+    """``[led]``. The lease guards the plant, so it is in rig time."""
 
     backend: Literal["neopixel", "virtual"] = "neopixel"
+    """The chain of 288 pixels, or that of the virtual grow box."""
+
     pin: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)] = "D18"
+    """The chain's data line, by its name in Blinka's ``board``."""
+
     twin: str = ""
+    """For ``virtual``: where flora-twin answers; empty for that of ``[rig.clock]``."""
+
     colour: tuple[Level, Level, Level] = (90, 60, 255)
+    """Red, green and blue of a lit lamp; bending answers to blue, the rest lets the plant and people see."""
+
     current_cap_a: Annotated[float, msgspec.Meta(ge=0.5, le=100.0)] = 8.0
+    """The most that both strips together may draw, by 48 mA for a pixel at full white and 1 mA for a dark one; all
+    colours are scaled down to it."""
+
     lease_s: Annotated[float, msgspec.Meta(gt=0.0, le=604_800.0)] = 900.0
+    """Seconds of rig time for which a command holds."""
+
     fallback: Fallback = "dark"
+    """What shines before the first command and when the lease of the last one is over; ``hold`` keeps its light."""
+
     open_loop: OpenLoopSection = OpenLoopSection()
 
 

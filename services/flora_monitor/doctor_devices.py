@@ -30,7 +30,7 @@ READ_LINE: Final = """
 import json, sys
 import gpiod
 if not hasattr(gpiod, "request_lines"):
-    sys.exit("gpiod is of version 1; version 2 is needed: install flora[rig]")
+    sys.exit("gpiod is of version 1, as apt has it; version 2 is needed")
 with gpiod.Chip(sys.argv[1]) as chip:
     line = chip.get_line_info(int(sys.argv[2]))
     print(json.dumps({"label": chip.get_info().label, "name": line.name, "used": line.used, "by": line.consumer}))
@@ -134,7 +134,7 @@ def check_strips(case: Case) -> str:
     try:
         has_pin = case.ask_json("flora-led", LOAD_STRIPS, keys.pin)
     except Wrong as problem:
-        raise Wrong(f"the NeoPixel driver cannot be loaded ({problem}): install flora[rig]") from problem
+        raise Wrong(f"the NeoPixel driver cannot be loaded ({problem}): {case.world.install_anew}") from problem
     if has_pin is not True:
         raise Wrong(f"[led] pin `{keys.pin}`: this board has no such pin")
     device = _check_chain_device(case, keys.pin, is_pi_5="Raspberry Pi 5" in model)
@@ -182,7 +182,8 @@ def check_flash(case: Case) -> str:
     try:
         line: Any = case.ask_json("flora-flash", READ_LINE, keys.chip, str(keys.line))
     except Wrong as problem:
-        advice = ": install flora[rig]" if "No module named" in str(problem) else ""
+        is_software = any(sign in str(problem) for sign in ("No module named", "of version 1"))
+        advice = f": {case.world.install_anew}" if is_software else ""
         raise Wrong(f"{where} cannot be read ({problem}){advice}") from problem
     name, user = str(line.get("name") or ""), str(line.get("by") or "the kernel")
     if pi_model(case.world) and name and name != f"GPIO{keys.line}":

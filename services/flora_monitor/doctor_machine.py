@@ -96,11 +96,16 @@ def check_programs(case: Case) -> str:
     try:
         found: Any = case.ask_json("flora-bus", LOAD_SERVICES, ",".join(LEARNING), *case.services)
     except Wrong as problem:
-        raise Wrong(f"a service cannot be loaded ({problem}): install flora anew (deploy/make-venv.sh)") from problem
+        raise Wrong(f"a service cannot be loaded ({problem}): {case.world.install_anew}") from problem
     if found["learning"]:
-        raise Wrong(f"the services load {', '.join(found['learning'])}, which belong in the lab: install flora anew")
+        raise Wrong(
+            f"the services load {', '.join(found['learning'])}, which belong in the lab: {case.world.install_anew}"
+        )
     if case.world.at(BOOTED).is_dir() and not case.is_virtual and not found["journal"]:
-        raise Wrong("systemd-python is missing, so the journal gets plain lines without fields: install flora[rig]")
+        raise Wrong(
+            "systemd-python is missing, so the journal gets plain lines without fields: sudo apt install "
+            "python3-systemd, or install flora[rig]"
+        )
     return f"{len(case.services)} services load in Python {found['python']}, nothing of the lab's"
 
 

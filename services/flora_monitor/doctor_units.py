@@ -22,6 +22,7 @@ DEVICE_CLASSES: Final = {"gpiochip": "char-gpiochip", "spidev": "char-spi", "vid
 """Device files that a unit may allow by the name of their driver in /proc/devices."""
 HOMES: Final = ("/home", "/root", "/run/user")
 MANUAL: Final = "docs/how-to/first-start.md"
+INSTALLING: Final = "docs/how-to/install-on-a-pi.md"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ def check_units(world: World, units: Units, services: Sequence[str]) -> str:
         raise NotLookedAt("systemctl does not answer")
     missing = [s for s in (TARGET, *services) if s not in units or units[s]["LoadState"] == "not-found"]
     if missing:
-        raise Wrong(f"not installed: {', '.join(missing)}; install the units ({MANUAL})")
+        raise Wrong(f"not installed: {', '.join(missing)}; `make install-rig` brings the units ({INSTALLING})")
     problems = []
     for name, unit in units.items():
         if not unit.is_loaded:

@@ -26,6 +26,8 @@ CHILD_DEADLINE_S: Final = 30.0
 """A Pi 3 takes some seconds to import OpenCV from a slow card."""
 KILLED_WITHIN_S: Final = 1.0
 LONGEST_READ: Final = 1 << 20
+RELEASES: Final = Path("/opt/flora/releases")
+"""Where ``make install-rig`` puts flora; there is no checkout on such a rig."""
 
 
 class Remark(Exception):
@@ -139,6 +141,18 @@ class World:
     def program(self, name: str) -> str:
         """A command of flora, beside the interpreter that runs this one."""
         return str(self.python.parent / name)
+
+    @property
+    def install_anew(self) -> str:
+        """What to do where a part of flora's own is damaged: how it was installed decides."""
+        release = self.real(self.python.parent.parent)
+        if not release.is_relative_to(RELEASES):
+            return "install flora anew: `make setup` in its checkout"
+        # An installation leaves a release alone that is there already.
+        return (
+            "`make rollback-rig` on the machine with flora's checkout goes back to the release before; "
+            f"`sudo rm -r {release}` here, then `make install-rig` there, installs this one anew"
+        )
 
     def read(self, path: str) -> str | None:
         """The text of a file of the machine; None where it is missing or must not be read."""

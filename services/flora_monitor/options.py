@@ -26,6 +26,7 @@ class MonitorSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     services: tuple[Annotated[str, msgspec.Meta(pattern=r"^flora-[a-z]+$", max_length=64)], ...] = (
         services_of_catalogue()
     )
+    """Which must be there for ``health`` and ``doctor`` to be content."""
 
 
 @dataclass(frozen=True, slots=True)

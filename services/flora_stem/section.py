@@ -15,6 +15,7 @@ class StemSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[stem]``; ``[stem.path]`` and ``[stem.paper]`` are the numbers of the methods."""
 
     method: Method = "path"
+    """``path`` is flora's own, ``paper`` the published one."""
     largest_share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.25
     """Of the published method: where more of the picture differs from the empty setup, it is no plant."""
     path: PathSettings = PathSettings()

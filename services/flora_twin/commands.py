@@ -43,9 +43,16 @@ class TwinSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[twin]``: the virtual grow box of a rig; it listens where ``[rig.clock]`` says."""
 
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
+    """The individual plant and all chance."""
+
     rate: Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)] = 0.0
+    """Times real time; 0 is lock-step: time moves on when the rig is done with the tick."""
+
     start: str = ""
+    """UTC at time 0, ISO 8601; empty for the present."""
+
     planted: bool = True
+    """Whether the plant is there at first."""
 
 
 def serve_world(

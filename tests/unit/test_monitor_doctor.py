@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,6 +25,7 @@ from flora_monitor.health import Line, services_of_catalogue
 from flora_monitor.main import main
 from signing_keys import ADA
 
+REPOSITORY = Path(__file__).parents[2]
 SERVICES = services_of_catalogue()
 FLORA = Account("flora", 4141, os.getgid(), frozenset({os.getgid()}))
 """Opens what the group of whoever runs the tests may open."""
@@ -119,7 +121,7 @@ class Pi:
         said = " ".join(command)
         return next((answer for key, answer in self.answers.items() if key in said), GOOD)
 
-    def findings(self) -> dict[str, Finding]:
+    def findings(self, python: str = "/opt/flora/releases/1/bin/python") -> dict[str, Finding]:
         world = World(
             root=self.root,
             me=self.me,
@@ -127,7 +129,7 @@ class Pi:
             lookup=lambda name, groups: self.accounts.get(name),
             room=lambda path: self.room,
             is_synchronised=lambda: self.is_synchronised,
-            python=Path("/opt/flora/current/bin/python"),
+            python=Path(python),
         )
         case = take_case(world, self.rig, None, SERVICES, self.heard, touch=self.touch)
         return {finding.part: finding for finding in examine(case)}
@@ -214,7 +216,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("config", lambda pi: pi.printed.update({"flora-stem": "flora-stem: [stem]: unknown key `x`"}), "unknown key `x`"),
     ("programs", answer("import_module", NO_MODULE), "No module named 'x'"),
     ("programs", loaded(learning=["torch"]), "torch, which belong in the lab"),
-    ("programs", loaded(journal=False), "systemd-python is missing"),
+    ("programs", loaded(journal=False), "sudo apt install python3-systemd"),
     ("run folder", no_file(f"{RUN}/run.toml"), "has no run.toml"),
     ("run folder", file(f"{RUN}/run.toml", "interval = 3"), "unknown key `interval`; did you mean `interval_s`?"),
     ("run folder", no_file(f"{RUN}/background/dark.jpg"), "flora-stem calibrate --wait"),
@@ -229,7 +231,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("camera", answer("picamera2", Done(None, "", "")), "no answer in time"),
     ("camera", strange_user, "/dev/media0 may not be opened by user `flora`"),
     ("strips", file("/proc/device-tree/model", "A laptop"), "no Raspberry Pi"),
-    ("strips", answer("neopixel", NO_MODULE), "install flora[rig]"),
+    ("strips", answer("neopixel", NO_MODULE), "make rollback-rig"),
     ("strips", answer("neopixel", Done(0, "false\n", "")), "no such pin"),
     ("strips", unit("flora-led.service", "User", "flora"), "which only root may"),
     ("strips", no_file("/dev/mem"), "/dev/mem is not there"),
@@ -239,7 +241,8 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("strips", unit("flora-led.service", "DevicePolicy", "closed"), "DeviceAllow=/dev/mem rw"),
     ("flash", no_file("/dev/gpiochip0"), "/dev/gpiochip0 is not there"),
     ("flash", strange_user, "may not be opened by user `flora`"),
-    ("flash", answer("gpiod", NO_MODULE), "install flora[rig]"),
+    ("flash", answer("gpiod", NO_MODULE), "make rollback-rig"),
+    ("flash", answer("gpiod", Done(1, "", "gpiod is of version 1, as apt has it\n")), "make rollback-rig"),
     ("flash", used_line("spi0 CS0"), "in use by spi0 CS0"),
     ("flash", answer("gpiod", Done(0, '{"name": "PWM0_MISO", "used": false, "by": ""}', "")), "not the header's chip"),
     ("flash", print_config("flora-flash", "17", "18"), "are the same pin"),
@@ -261,7 +264,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("power", answer("vcgencmd", Done(0, "throttled=0x50005\n", "")), "undervoltage now"),
     ("power", answer("vcgencmd", Done(0, "throttled=0x10000\n", "")), "undervoltage since the last boot"),
     ("power", answer("vcgencmd", Done(0, "throttled=0x40000\n", "")), "too warm"),
-    ("units", no_unit("flora-led.service"), "not installed: flora-led"),
+    ("units", no_unit("flora-led.service"), "not installed: flora-led; `make install-rig` brings the units"),
     ("units", unit(TARGET, "UnitFileState", "disabled"), f"sudo systemctl enable {TARGET}"),
     ("units", unit("flora-stem.service", "ActiveState", "failed"), "journalctl -u flora-stem"),
     ("units", unit("flora-stem.service", "LoadState", "masked"), "flora-stem.service is masked"),
@@ -280,6 +283,32 @@ def test_what_is_wrong_is_told_with_what_to_do(pi: Pi, part: str, spoil: Callabl
     finding = pi.findings()[part]
 
     assert (finding.verdict, told in finding.text) == ("wrong", True), finding
+
+
+PARTS_OF_ITS_OWN = [("programs", "import_module"), ("strips", "neopixel"), ("flash", "gpiod")]
+
+
+@pytest.mark.parametrize(("part", "key"), PARTS_OF_ITS_OWN)
+def test_what_to_do_about_a_damaged_installation_can_be_done_there(pi: Pi, part: str, key: str) -> None:
+    pi.answers[key] = NO_MODULE
+
+    on_rig = pi.findings()[part].text
+    assert "sudo rm -r /opt/flora/releases/1`" in on_rig
+    assert "make setup" not in on_rig
+
+    in_checkout = pi.findings("/home/ada/flora/.venv/bin/python")[part].text
+    assert in_checkout.endswith("install flora anew: `make setup` in its checkout")
+
+
+def test_every_page_and_target_that_is_named_is_there() -> None:
+    named = "".join(file.read_text() for file in (REPOSITORY / "services/flora_monitor").glob("doctor*.py"))
+    targets = (REPOSITORY / "Makefile").read_text()
+
+    assert sorted(set(re.findall(r"`make ([a-z-]+)`", named))) == ["install-rig", "rollback-rig", "setup"]
+    assert [t for t in set(re.findall(r"`make ([a-z-]+)`", named)) if f"\n{t}:" not in targets] == []
+    pages = set(re.findall(r'"(docs/[^"]+)"', named))
+    assert len(pages) == 2
+    assert [page for page in pages if not (REPOSITORY / page).is_file()] == []
 
 
 def test_one_fault_is_not_told_for_other_parts_too(pi: Pi) -> None:

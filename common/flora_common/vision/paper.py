@@ -54,7 +54,7 @@ class PaperSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         reference_width_px: width of the picture that ``theta_2_px`` speaks of; set it to the camera's own width to
             give ``theta_2_px`` in its px.
         reduction: pictures are looked at in 1/reduction of their size; 4 for 1640 px, 8 for 3280 px.
-        window_px: region of interest (x0, y0, x1, y1) in px of the full picture, edges included; whole picture if None.
+        window_px: region of interest (x0, y0, x1, y1) in px of the full picture, edges included; all if left out.
         smallest_component_px: connected groups of fewer stem pixels (8 neighbours, reduced picture) are dropped before
             the tip is looked for. Not in the published method, hence off (0). It keeps single noisy pixels from being
             taken for the tip, and loses a thin stem that is broken into pieces.

@@ -30,7 +30,7 @@ def serve(
 ) -> None:
     """Run as a service: watch plants while they grow, and diagnose each run when it has ended.
 
-    What it watches stands in [lab] of the configuration file. SIGTERM ends it; nothing is lost.
+    What it watches stands in \\[lab] of the configuration file. SIGTERM ends it; nothing is lost.
     """
     if verbose and quiet:
         raise BadInput("give either --verbose or --quiet")

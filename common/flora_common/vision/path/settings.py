@@ -15,13 +15,14 @@ class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[stem.path]``; lengths in cm of the plant's plane.
 
     Attributes:
-        window_px: the plant is looked for in (x0, y0, x1, y1) px of the full picture; everywhere if None.
+        window_px: the plant is looked for in (x0, y0, x1, y1) px of the full picture; everywhere if left out.
         widest_stem_cm: what is thicker is leaf, never stem.
         longest_gap_cm: a stem is followed behind a leaf for this far.
         hidden_base_cm: the lowest part that a rim may hide, or that looks like what is behind it.
         below_anchor_cm: how far below the anchor's height a stem may hang. Soil and pot lie there.
-        jump_cm, fastest_cm_per_h: a tip that moved by more than the first and the second together allow is reported
-            as ``jumped``.
+        jump_cm: a tip that moved by more than this, besides what ``fastest_cm_per_h`` allows, is reported as
+            ``jumped``.
+        fastest_cm_per_h: how fast a tip may move.
         points: whether the ten points are even in height (``y``, the convention of ``track.csv``) or along the stem
             (``arc``).
     """
