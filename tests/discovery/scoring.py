@@ -3,7 +3,8 @@
 What counts as what:
 
 - A *claim* is a diagnosis with the verdict ``explained`` and at least one cause. Its first cause is right where it is
-  the hidden effect, or where both are one of :data:`SAME` and the other is named as confusable.
+  the hidden effect, or where both are of one group of :data:`SAME` and the other is named as confusable: causes that
+  are known to look alike may be named together. How often the first name alone was right is counted beside it.
 - A *false alarm* is any verdict but ``nothing_wrong`` where nothing is hidden.
 - A *confident wrong name* is a cause with a confidence of at least 0.8 that is not hidden in the case, whatever the
   verdict says.
@@ -14,14 +15,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-SAME = frozenset({"phototropic_latency", "clock_offset"})
-"""Exactly the same in light and track, so that no finder can choose."""
+SAME: tuple[frozenset[str], ...] = (
+    frozenset({"phototropic_latency", "clock_offset"}),
+    frozenset({"lamp_asymmetry", "draught", "camera_roll"}),
+    frozenset({"diurnal_growth", "temperature_growth"}),
+    frozenset({"phototropic_gain", "proprioception", "adaptation"}),
+    frozenset({"camera_scale", "growth_rate"}),
+)
+"""Causes that look alike: the first two exactly so in light and track, the others in most light."""
 CONFIDENT = 0.8
 BINS = 10
 DAY_H = 24.0
@@ -31,6 +38,12 @@ OWN_UNIT = frozenset({("sag", "amplitude")})
 """Parameters whose unit belongs to the model that has them."""
 
 Json = Mapping[str, Any]
+
+
+def named_as_a_pair(name: str, confusable: Collection[str], hidden: Collection[str]) -> str | None:
+    """The hidden effect that looks like the one named and is named beside it, or None."""
+    alike = [other for group in SAME if name in group for other in sorted(group - {name})]
+    return next((other for other in alike if other in hidden and other in confusable), None)
 
 
 @dataclass(frozen=True)
@@ -76,11 +89,7 @@ class Outcome:
         name = str(cause["effect"])
         if name in self.hidden:
             return name
-        if name in SAME:
-            for other in SAME - {name}:
-                if other in self.hidden and other in cause.get("confusable_with", ()):
-                    return other
-        return None
+        return named_as_a_pair(name, cause.get("confusable_with", ()), self.hidden)
 
     @property
     def first(self) -> str:
@@ -90,6 +99,11 @@ class Outcome:
     @property
     def right(self) -> bool:
         return bool(self.claimed) and self.names(self.claimed[0]) is not None
+
+    @property
+    def right_alone(self) -> bool:
+        """Whether the first name is that of a hidden effect."""
+        return bool(self.claimed) and self.claimed[0]["effect"] in self.hidden
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,7 @@ def _figures(of: dict[str, list[Outcome]], form: int) -> list[tuple[str, Share |
     )
     return [
         ("right cause first", share(o.right for o in single), ">= 80 %" if form == 0 else ">= 72 %"),
+        ("the same, by its own name", share(o.right_alone for o in single), ""),
         ("right of those claimed", share(o.right for o in single if o.claimed), ">= 95 %" if form == 0 else ""),
         ("right name, called unexplained", share(_flagged(o) for o in single), ""),
         ("false alarms", share(o.verdict not in {"nothing_wrong", "failed"} for o in none), "<= 5 %"),

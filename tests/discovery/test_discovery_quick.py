@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
@@ -17,12 +18,28 @@ from flora_lab.diagnose.knowledge import learn_from
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.threads import one_blas_thread
 
-from .scoring import SAME
-from .worlds.case import draw_case
+from .scoring import named_as_a_pair
+from .worlds.case import Case, draw_case
 from .worlds.writing import write_case
 
+LOUD = (
+    "circumnutation",
+    "phototropic_latency",
+    "clock_offset",
+    "clock_skew",
+    "draught",
+    "sag",
+    "camera_drift",
+    "diurnal_growth",
+    "temperature_growth",
+    "adaptation",
+)
+"""Effects that three runs tell nearly always at typical strength. What is as large as plants differ is counted by
+`make discovery`, over many cases."""
 HIDDEN = ((0, 7_001), (0, 7_002), (0, 7_003), (1, 7_004))
-"""Form of the physics, and seed; which effect it is follows from the seed."""
+"""Form of the physics, and seed; how strong the effect is follows from the seed."""
+WHICH = 7_000
+"""Seed that decides on the effects."""
 NOTHING = ((0, 7_101), (1, 7_102))
 LEAST_RIGHT = 3
 
@@ -42,11 +59,10 @@ class Answer:
         first = self.causes[0]
         if first.effect in self.hidden:
             return True
-        return bool(self.hidden & SAME) and first.effect in SAME and bool(set(first.confusable_with) & self.hidden)
+        return named_as_a_pair(first.effect, first.confusable_with, self.hidden) is not None
 
 
-def _answer(form: int, seed: int, kind: str, folder: Path) -> Answer:
-    case = draw_case(seed, form=form, kind=kind)
+def _answer(case: Case, folder: Path) -> Answer:
     write_case(case, folder)
     runs = read_runs(sorted((folder / "measured").iterdir()))
     reference = read_reference(folder / "reference", runs)
@@ -60,12 +76,15 @@ def _answer(form: int, seed: int, kind: str, folder: Path) -> Answer:
 
 
 def test_most_hidden_effects_are_named_first(tmp_path: Path) -> None:
-    answers = [_answer(form, seed, "single", tmp_path / f"{form}-{seed}") for form, seed in HIDDEN]
+    answers = []
+    effects = np.random.default_rng(WHICH).choice(LOUD, len(HIDDEN), replace=False).tolist()
+    for (form, seed), effect in zip(HIDDEN, effects, strict=True):
+        answers.append(_answer(draw_case(seed, form=form, kind="single", effect=effect), tmp_path / f"{form}-{seed}"))
     told = [f"{sorted(a.hidden)}: {a.verdict} {[c.effect for c in a.causes]}" for a in answers]
     assert sum(answer.is_right for answer in answers) >= LEAST_RIGHT, told
 
 
 @pytest.mark.parametrize(("form", "seed"), NOTHING)
 def test_healthy_runs_are_left_alone(form: int, seed: int, tmp_path: Path) -> None:
-    answer = _answer(form, seed, "none", tmp_path / "case")
+    answer = _answer(draw_case(seed, form=form, kind="none"), tmp_path / "case")
     assert answer.verdict == "nothing_wrong", [c.evidence for c in answer.causes]

@@ -52,13 +52,16 @@ def test_only_the_first_cause_of_a_claim_counts() -> None:
     assert not outcome("single", SAG, None).right
 
 
-def test_latency_and_clock_offset_are_one_where_the_other_is_named_too() -> None:
+def test_causes_that_look_alike_are_one_where_the_other_is_named_too() -> None:
     late = {"phototropic_latency": {"delay_h": 0.4}}
     assert outcome("single", late, "explained", cause("clock_offset", confusable_with=["phototropic_latency"])).right
     assert not outcome("single", late, "explained", cause("clock_offset")).right
-    # No other pair is called inseparable.
     roll = {"camera_roll": {"angle_deg": 3.0}}
-    assert not outcome("single", roll, "explained", cause("draught", confusable_with=["camera_roll"])).right
+    named_beside = outcome("single", roll, "explained", cause("draught", confusable_with=["camera_roll"]))
+    assert named_beside.right
+    assert not named_beside.right_alone
+    # No other pair is taken for one, whatever the finder says.
+    assert not outcome("single", roll, "explained", cause("sag", confusable_with=["camera_roll"])).right
 
 
 def test_shares_come_with_the_interval_of_wilson() -> None:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance
-from flora_lab.diagnose.joint import Base, Found, Hypothesis
+from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.measured import MeasuredRun

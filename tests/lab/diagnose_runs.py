@@ -148,7 +148,8 @@ def run_of(
         period_h, amplitude_cm = swing
         time_h = np.arange(steps + 1)[:, None] * step_s / 3600.0
         phase = 2.0 * np.pi * (time_h / period_h + rng.random())
-        points[:, :, 0] += amplitude_cm * along**2 * (np.sin(phase) - np.sin(phase[0]))
+        grown = 1.0 - np.exp(-time_h / 3.0)  # none at first: the stem that a run starts from is where it is
+        points[:, :, 0] += amplitude_cm * along**2 * grown * np.sin(phase)
     wobble = np.stack([red_noise(rng, steps + 1, WOBBLE_H, step_s) for _ in range(2)], axis=1)
     points[:, 1:] += chance.get("wobble", 0.0) * along[1:, None] * wobble[:, None]
     points[:, 1:] += chance.get("measure", 0.0) * rng.standard_normal((steps + 1, 9, 2))

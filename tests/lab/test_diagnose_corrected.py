@@ -10,8 +10,9 @@ import pytest
 from diagnose_runs import QUIET, change_of, run_of, turns, write_run
 
 from flora_lab.diagnose import corrected
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.inputs import Runs
-from flora_lab.diagnose.joint import Cause, Found, Hypothesis
+from flora_lab.diagnose.joint import Found
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.run_tracks import RunTrack, load_run

@@ -17,7 +17,8 @@ from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.explain import Accepted, Explainer, Explanation
 from flora_lab.diagnose.gain import POOLED, SIMULATORS, _left_out, measure_gain
-from flora_lab.diagnose.joint import Found, Hypothesis
+from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.replayed import replayed
 from flora_lab.diagnose.rivals import last_choice
 from flora_lab.diagnose.scene import Scene
@@ -55,7 +56,6 @@ def gain_of(runs: int = 3, held_out: bool = False, explanation: Explanation | No
         explanation or explained(),
         further,
         lambda: judged.append(None),
-        known().errors,
     )
     return told, len(judged)
 
@@ -86,14 +86,14 @@ def test_runs_that_were_held_out_judge_alone() -> None:
 
 def test_a_run_has_no_say_in_what_it_is_judged_by() -> None:
     explanation = explained()
-    folds, other = _left_out(explanation, known().errors)
+    folds, other = _left_out(explanation)
     assert [(fold.learned_from, fold.judged) for fold in folds] == [((1, 2), (0,)), ((0, 2), (1,)), ((0, 1), (2,))]
     assert other == 0
     # The last run made to look as if nothing were wrong: only the folds that it is not judged in may care.
     runs = list(explanation.joint.runs)
     runs[2] = replace(runs[2], measured=runs[2].measured * 0.5)
     explanation.joint.runs, kept = runs, explanation.joint.runs
-    changed, _ = _left_out(explanation, known().errors)
+    changed, _ = _left_out(explanation)
     explanation.joint.runs = kept
     same = [np.array_equal(a.change.terms, b.change.terms) for a, b in zip(folds, changed, strict=True)]
     assert same == [False, False, True]
@@ -107,10 +107,10 @@ def test_a_rival_that_wins_without_a_run_is_what_the_run_is_judged_by() -> None:
     assert worse.found is not None
     # As if the search had taken one of the worst causes.
     mistaken = replace(explanation, found=worse.found, accepted=(Accepted(worse, stage),))
-    folds, other = _left_out(mistaken, known().errors)
+    folds, other = _left_out(mistaken)
     assert other == 3
     assert all(fold.change.terms[terms.PUSH] == pytest.approx(0.12, abs=0.03) for fold in folds)
-    told = measure_gain(measured(), known().base, mistaken, errors=known().errors)
+    told = measure_gain(measured(), known().base, mistaken)
     assert "which they did not 3 times" in told.judged_on
 
 

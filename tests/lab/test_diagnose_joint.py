@@ -10,7 +10,8 @@ from diagnose_runs import CHANCE, TYPICAL, base, change_of, individual, scene_of
 
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.explain import CLAIM
-from flora_lab.diagnose.joint import START_SD, Base, Cause, Found, Hypothesis, Joint, Ready, ready
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
+from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import strength_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -122,10 +123,31 @@ def test_a_look_where_all_is_taken_for_linear_comes_close_to_a_fit() -> None:
         assert abs(look.coordinates[0] - fit.coordinates[0]) < 0.7 * np.sqrt(fit.covariance[0, 0])
         assert look.covariance[0, 0] == pytest.approx(fit.covariance[0, 0], rel=0.3)
         assert not look.jacobians  # a fit leaves what it sets out from as it was
-        # without limits, and told what is known before, it is the same again
-        free, variance = joint.estimated(null, Cause(effect), none)
-        assert free == pytest.approx(look.coordinates[-1:], abs=1e-9)
-        assert variance == pytest.approx(np.diag(look.covariance))
+
+
+@pytest.mark.parametrize(
+    ("name", "form"), [("growth_rate", 0), ("growth_rate", 1), ("stiffening", 0), ("time_scale", 0)]
+)
+def test_a_cause_in_the_plants_constants_moves_runs_as_these_do(name: str, form: int) -> None:
+    """To the last digit: else rounding would tell what nothing can."""
+    joint, null = nominal(60, 3)
+    cause = Cause(BY_NAME[name], form)
+    factor = np.array([0.1])
+    found = joint.fit(Found(Hypothesis((cause,)), factor, null.traits, null.start), 0)
+    shift = change_of({name: {"factor": float(np.exp(factor[0]))}}, {name: form}).traits / factor[0]
+    for jacobian in found.jacobians:
+        assert jacobian[:, -1] == pytest.approx(jacobian[:, : len(NAMES)] @ shift, abs=1e-8 * np.abs(jacobian).max())
+
+
+def test_what_plants_differ_in_is_told_no_better_than_they_differ() -> None:
+    joint, null = nominal(60, 3)
+    for name in ("growth_rate", "gravitropism", "stiffening"):
+        fit = alone(joint, null, name)
+        shift = change_of({name: {"factor": float(np.e)}}).traits
+        together = joint.base.spread / len(joint.runs) + joint.base.doubt
+        # As if the plants were known exactly: then it is a question of how far they are from the typical one.
+        best = 1.0 / (shift @ np.linalg.inv(together) @ shift + fit.hypothesis.parameters[0].spread ** -2.0)
+        assert fit.covariance[0, 0] > 0.99 * best, name
 
 
 def test_the_order_of_runs_does_not_matter() -> None:
@@ -221,5 +243,5 @@ def test_a_first_stem_that_leans_speaks_for_a_rolled_camera() -> None:
     angles = []
     for one in (Joint([run], joint.base), Joint([leaning], joint.base)):
         null = one.fit(one.null(), 20)
-        angles.append(float(one.estimated(null, cause, none)[0][0]))
+        angles.append(float(one.screened(null, cause, none).coordinates[0]))
     assert angles[1] < angles[0]  # pictures turned clockwise make stems lean to the right

@@ -9,7 +9,8 @@ import numpy as np
 from diagnose_runs import REFERENCE, SPREAD, TYPICAL, base, known, scene_of, scenes_of
 
 from flora_lab.diagnose import chance, learn
-from flora_lab.diagnose.joint import Base, Found, Hypothesis
+from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.knowledge import ROUNDS, blocks, learn_from, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
@@ -105,7 +106,7 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
         assert there == back, one.name
     for name in ("left", "swing_evidence"):
         assert getattr(twice[0], name).tobytes() == getattr(twice[1], name).tobytes()
-    assert twice[0].errors.sd.tobytes() == twice[1].errors.sd.tobytes()
+    assert twice[0].errors.sizes.tobytes() == twice[1].errors.sizes.tobytes()
     assert twice[0].swings.power.tobytes() == twice[1].swings.power.tobytes()
 
 

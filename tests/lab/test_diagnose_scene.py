@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from flora_lab.diagnose.record import without
 from flora_lab.diagnose.scene import FEATURES, KNOT_H, Answers, Lanes, Scene, late_light
 from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.simulator.tropism import LIGHT_HALF
 
 
 def lanes(*changes: Change) -> Lanes:
@@ -151,6 +152,11 @@ def test_a_camera_that_turns_slowly_shows_the_first_stem_rightly() -> None:
 # Lights
 
 
+def seen(light: np.ndarray) -> np.ndarray:
+    """What a plant sees of levels of light (Weber-Fechner)."""
+    return np.log1p(light / LIGHT_HALF)
+
+
 @given(st.integers(-20, 20), st.lists(st.sampled_from(["left", "right", "dark"]), min_size=2, max_size=60))
 def test_a_clock_apart_by_whole_steps_is_a_shifted_schedule(by: int, names: list) -> None:
     light = levels_of(names)
@@ -165,7 +171,7 @@ def test_a_clock_apart_by_whole_steps_is_a_shifted_schedule(by: int, names: list
     st.floats(-0.05, 0.05),
     st.lists(st.sampled_from(["left", "right", "dark"]), min_size=12, max_size=80),
 )
-def test_late_light_is_the_mean_of_what_shone_then(late_h: float, per_h: float, names: list) -> None:
+def test_late_light_is_what_is_seen_on_the_mean_of_what_shone_then(late_h: float, per_h: float, names: list) -> None:
     light, parts = levels_of(names), 200
     late = late_light(light, 1 / 12, late_h, per_h)
     assert late.shape == light.shape
@@ -175,15 +181,16 @@ def test_late_light_is_the_mean_of_what_shone_then(late_h: float, per_h: float, 
     now = (np.arange(len(light) * parts) + 0.5) / parts / 12
     then = now - late_h - per_h * now
     rows = np.clip(np.floor(then * 12).astype(int), 0, len(light) - 1)
-    mean = light[rows].reshape(len(light), parts, 2).mean(axis=1)
-    assert late == pytest.approx(mean, abs=3.0 / parts)
+    mean = seen(light)[rows].reshape(len(light), parts, 2).mean(axis=1)
+    assert seen(late) == pytest.approx(mean, abs=3.0 / parts * seen(np.ones(1))[0])
 
 
 @given(st.floats(0.0, 1.0), st.integers(10, 50))
 def test_no_light_is_lost_or_made_by_being_late(late_h: float, on: int) -> None:
-    """A flash that lies well within the run has the same dose, however late."""
+    """A flash that lies well within the run is seen as much, however late."""
     light = levels_of(["dark"] * on + ["left"] * 5 + ["dark"] * 30)
-    assert late_light(light, 1 / 12, late_h, 0.0).sum(axis=0) == pytest.approx([5.0, 0.0])
+    late = late_light(light, 1 / 12, late_h, 0.0)
+    assert seen(late).sum(axis=0) == pytest.approx(seen(light).sum(axis=0))
 
 
 def test_a_clock_that_is_right_changes_no_bit() -> None:

@@ -40,8 +40,8 @@ def bits(one: Knowledge) -> dict[str, bytes]:
     arrays: dict[str, Any] = {
         "swing_per_hour": one.swings.per_hour,
         "swing_power": one.swings.power,
+        "error_sizes": one.errors.sizes,
         "error_mean": one.errors.mean,
-        "error_sd": one.errors.sd,
         "left": one.left,
         "swing_evidence": one.swing_evidence,
         **{name: getattr(one.base, name) for name in one.base.__slots__ if name != "runs"},

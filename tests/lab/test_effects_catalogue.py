@@ -11,7 +11,7 @@ from diagnose_runs import LAMPS, QUIET, STEP_S, TYPICAL, change_of, run_of, scen
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flora_lab.diagnose.joint import Cause, Hypothesis
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect, Parameter
@@ -53,8 +53,8 @@ def features(change: Change, scene: Scene = SCENE) -> np.ndarray:
 
 
 def starts(effect: Effect) -> list[dict[str, float]]:
-    """Values from which a search sets out; the middle of what is plausible where none are told."""
-    told = [p.starts or (p.value(0.5 * (p.coordinate(p.low) + p.coordinate(p.high))),) for p in effect.parameters]
+    """Values from which a search sets out; half way to the far end of what is plausible where none are told."""
+    told = [p.starts or (p.value(0.5 * (p.centre + p.coordinate(p.low))),) for p in effect.parameters]
     return [dict(zip(effect.names, values, strict=True)) for values in itertools.product(*told)]
 
 

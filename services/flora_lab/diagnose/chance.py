@@ -62,8 +62,6 @@ PARTS: Final = (
 )
 SMALLEST_MEASURE_CM: Final = 0.03
 """However well stems are measured: the law itself, and what is taken for linear about a plant, are no better."""
-_SWINGS: Final = np.array([1.0, 0.25, 0.5, 0.15, 0.03])
-"""How much of the tip's swing each feature has."""
 _SWING_MARGIN: Final = 1.3
 _SWING_LEFT: Final = 0.05
 _ROUNDING: Final = 1e-9
@@ -101,16 +99,21 @@ def covariances(scene: Scene, answers: Answers) -> Array:
     return found
 
 
-def of_swing(scene: Scene, swing: Swing) -> Array:
-    """What a swing of the tip gives in a run's hourly means, covariance of shape (m, m)."""
-    row_h = scene.time_h[scene.window]
-    lag_h = np.abs(row_h[:, None] - row_h[None, :])
-    share = _SWINGS[scene.feature] * np.sinc(scene.per_window * scene.step_h / swing.period_h)
+def of_swing(scene: Scene, answers: Answers, swing: Swing) -> Array:
+    """What a swing of the tip gives in a run's hourly means, covariance of shape (m, m).
+
+    The stem swings as it would if something bent it in that rhythm.
+    """
+    at_h = answers.at_h["bias"]
+    lag_h = np.abs(at_h[:, None] - at_h[None, :])
     turning = np.cos(2.0 * np.pi * lag_h / swing.period_h) * np.exp(-lag_h / swing.coherence_h)
-    size = _SWING_MARGIN * swing.amplitude_cm
-    return np.asarray(
-        0.5 * size**2 * share[:, None] * share[None, :] * turning + _SWING_LEFT * np.diag(size**2 * share**2)
-    )
+    answer = answers.to["bias"]
+    given = answer @ turning @ answer.T
+    # Its size is that of the tip, of which an hour's mean keeps this.
+    kept = _SWING_MARGIN * swing.amplitude_cm * np.sinc(scene.per_window * scene.step_h / swing.period_h)
+    sideways = np.diag(given)[scene.feature == 0]
+    given *= 0.5 * kept**2 / max(float(sideways.mean()), 1e-12)
+    return np.asarray(given + _SWING_LEFT * np.diag(np.diag(given)))
 
 
 def _reach(scene: Scene) -> Array:

@@ -10,22 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_lab.diagnose import chance, rhythm, search
-from flora_lab.diagnose.joint import Found, Hypothesis, Joint, ready
+from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.joint import Found, Joint, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
 from flora_lab.diagnose.rhythm import Swing
-from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 7.0
+CLAIM: Final = 6.0
 """Nats of evidence that a cause needs beyond none."""
-MORE: Final = 12.0
-"""Nats that each further cause needs, ..."""
-MORE_SHARE: Final = 0.04
-"""... and this share of what the strongest cause came to: a term is never quite what nature does, and what is left of a
-strong effect looks like a weak other one."""
+MORE: Final = 7.0
+"""Nats that each further cause needs."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 _RESTARTS: Final = 2
@@ -104,15 +102,13 @@ class Explainer:
         self.scenes = scenes
         self.known = known
         self._on_step = on_step
-        self._parts: list[Array] = []
+        self._answers: list[Answers] = []
+        self._errors: list[tuple[Array, Array]] = []
 
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
         alone = self._all_alone()
-        self._parts = [
-            chance.covariances(scene, scene.answers(fit.traits[0], Change()))
-            for scene, fit in zip(self.scenes, alone, strict=True)
-        ]
+        self._answer(_side_by_side(alone))
         swing: Swing | None = None
         joint = self._joint(swing)
         null = joint.fit(_side_by_side(alone), 12)
@@ -131,7 +127,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES:
+            if best.gain < (MORE if accepted else CLAIM) or len(accepted) == MOST_CAUSES:
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -141,13 +137,10 @@ class Explainer:
                 found = joint.fit(_started(found), 12)
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
+                self._answer(found)
+                joint = self._joint(swing)
+                found = joint.fit(_started(found), 12)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint)
-
-    @staticmethod
-    def _needed(accepted: Sequence[Accepted]) -> float:
-        """Nats that the next cause must come to."""
-        strongest = max((a.tried.gain for a in accepted if a.tried.swing is None), default=0.0)
-        return max(MORE, MORE_SHARE * strongest) if accepted else CLAIM
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
@@ -172,12 +165,12 @@ class Explainer:
         tried: list[Tried] = []
         effects = [e for e in CATALOGUE if e.forms and e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
-            tried.append(Tried(effect, self._gain(before, effect, fit), fit))
+            tried.append(self._tried(before, effect, fit))
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:
             # Only looked at linearly so far.
             effect, fit = tried[0].effect, joint.fit(_started(tried[0].found), 12)
-            tried[0] = Tried(effect, self._gain(before, effect, fit), fit)
+            tried[0] = self._tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
@@ -188,10 +181,10 @@ class Explainer:
                 tried.insert(place, own)
         return Stage(before, tuple(tried))
 
-    def _gain(self, before: Found, effect: Effect, fit: Found) -> float:
-        """Evidence for the last cause of a fit."""
-        gain = fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior)
-        return self.known.errors.beyond(fit, float(gain), len(self.scenes))
+    def _tried(self, before: Found, effect: Effect, fit: Found) -> Tried:
+        """What a fit says for its last cause."""
+        gain = float(fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior))
+        return Tried(effect, gain, fit)
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
@@ -245,13 +238,25 @@ class Explainer:
             out.append(min(tried, key=lambda one: one.misfit))
         return out
 
-    def _joint(self, swing: Swing | None) -> Joint:
-        base, count = self.known.base, len(self.scenes)
-        runs = [
-            ready(scene, base, parts, together=count, swing=swing)
-            for scene, parts in zip(self.scenes, self._parts, strict=True)
+    def _answer(self, found: Found) -> None:
+        """How the runs answer chance and what the law is wrong in, about the plants of a fit, with its causes."""
+        change = found.hypothesis.change(found.coordinates)
+        self._answers = [
+            scene.answers(traits + change.traits, change)
+            for scene, traits in zip(self.scenes, found.traits, strict=True)
         ]
-        return Joint(runs, base)
+        self._errors = [
+            self.known.errors.of_run(scene, traits, change)
+            for scene, traits in zip(self.scenes, found.traits, strict=True)
+        ]
+
+    def _joint(self, swing: Swing | None) -> Joint:
+        runs = []
+        for scene, answers, (shift, errors) in zip(self.scenes, self._answers, self._errors, strict=True):
+            besides = errors if swing is None else errors + chance.of_swing(scene, answers, swing)
+            parts = chance.covariances(scene, answers)
+            runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
+        return Joint(runs, self.known.base)
 
 
 def _side_by_side(alone: Sequence[Found]) -> Found:

@@ -21,7 +21,6 @@ from flora_lab.diagnose.joint import Base, Found, Joint
 from flora_lab.diagnose.replayed import Replayed, replayed
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import Change
 
 Array = npt.NDArray[Any]
@@ -72,7 +71,6 @@ def measure_gain(
     explanation: Explanation,
     holdout: Sequence[Scene] = (),
     on_step: Callable[[], None] = lambda: None,
-    errors: UsualErrors | None = None,
 ) -> Gain:
     """Errors of the base and of the extended simulator, of a black box and of a stem that does not move.
 
@@ -82,7 +80,6 @@ def measure_gain(
         explanation: of them.
         holdout: further runs, to judge by; without them each run is judged by what the others tell.
         on_step: called after each run.
-        errors: how much of every effect healthy runs seem to show; without it causes are compared by evidence alone.
 
     Returns:
         Nothing but a sentence where no cause was found, or where there is no run to judge by.
@@ -100,7 +97,7 @@ def measure_gain(
         judged_on = f"{_runs(len(holdout))} held out, which neither the choice of the causes nor the fit has seen"
     elif count > 1:
         runs = list(scenes)
-        folds, other = _left_out(explanation, errors)
+        folds, other = _left_out(explanation)
         judged_on = (
             f"each of {_runs(count)} by what the others tell: parameters were fitted anew without it, and the chosen "
             f"causes had to win again over their {RIVALS} strongest rivals"
@@ -120,7 +117,7 @@ def measure_gain(
     return _gain(wrong, judged_on)
 
 
-def _left_out(explanation: Explanation, errors: UsualErrors | None) -> tuple[list[Fold], int]:
+def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
     """A fold for each run, and in how many of them a rival won."""
     runs, stage = explanation.joint.runs, last_choice(explanation)
     if stage is None:
@@ -133,7 +130,7 @@ def _left_out(explanation: Explanation, errors: UsualErrors | None) -> tuple[lis
         before, *fits = [_fitted(joint, rest, one) for one in (stage.before, explanation.found, *others)]
         chosen = fits[0]
         for fit in fits[1:]:
-            if _is_better(before, fit, chosen, errors, len(rest)):
+            if _evidence(before, fit) > _evidence(before, chosen):
                 chosen = fit
         won += chosen is not fits[0]
         folds.append(Fold(tuple(rest), (out,), chosen.hypothesis.change(chosen.coordinates)))
@@ -143,14 +140,6 @@ def _left_out(explanation: Explanation, errors: UsualErrors | None) -> tuple[lis
 def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
     """The same causes for some of the runs."""
     return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
-
-
-def _is_better(before: Found, one: Found, other: Found, errors: UsualErrors | None, runs: int) -> bool:
-    """Whether there is more evidence for the last cause of one fit than for that of another, by every account."""
-    gains = [_evidence(before, fit) for fit in (one, other)]
-    if errors is None or gains[0] <= gains[1]:
-        return gains[0] > gains[1]
-    return errors.beyond(one, gains[0], runs) > errors.beyond(other, gains[1], runs)
 
 
 def _evidence(before: Found, fit: Found) -> float:

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from flora_lab.diagnose import chance
-from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
 from flora_lab.diagnose.scene import Lanes, Scene
-from flora_lab.effects.effect import Change, Effect, Parameter
+from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
@@ -60,44 +59,6 @@ class Base:
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
-    """An effect in one of its forms."""
-
-    effect: Effect
-    form: int = 0
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.effect.parameters
-
-
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """Causes that act together; none is the simulator as it is."""
-
-    causes: tuple[Cause, ...] = ()
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Of all causes, in their order."""
-        return tuple(p for cause in self.causes for p in cause.parameters)
-
-    def change(self, coordinates: Array) -> Change:
-        """What the causes change, with parameters at these coordinates."""
-        change, at = Change(), 0
-        for cause in self.causes:
-            own = cause.parameters
-            values = {p.name: p.value(float(u)) for p, u in zip(own, coordinates[at : at + len(own)], strict=True)}
-            cause.effect.forms[cause.form](change, values)
-            at += len(own)
-        return change
-
-    def names(self) -> tuple[str, ...]:
-        """Of the effects."""
-        return tuple(cause.effect.name for cause in self.causes)
-
-
-@dataclass(frozen=True, slots=True)
 class Ready:
     """A run, ready to be explained. To its features come length and lean of the first stem.
 
@@ -116,7 +77,9 @@ class Ready:
         return np.asarray(self.inverse_root @ values)
 
 
-def ready(scene: Scene, base: Base, parts: Array, *, together: int, swing: Swing | None = None) -> Ready:
+def ready(
+    scene: Scene, base: Base, parts: Array, *, together: int, besides: Array | None = None, shift: Array | None = None
+) -> Ready:
     """A run with what chance does to it.
 
     Args:
@@ -125,17 +88,19 @@ def ready(scene: Scene, base: Base, parts: Array, *, together: int, swing: Swing
         parts: of about the plant that it is, see :func:`flora_lab.diagnose.chance.covariances`.
         together: number of runs that will be explained together: what is known of first stems from so few runs is not
             known better in the mean over many others.
-        swing: of the tip, that is there besides.
+        besides: covariance of what is there besides, shape (m, m).
+        shift: what is there in any run, shape (m,).
     """
     covariance = np.tensordot(base.sizes**2, parts, axes=1)
-    if swing is not None:
-        covariance += chance.of_swing(scene, swing)
+    if besides is not None:
+        covariance += besides
     m = scene.size
     root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
     inverse_root = np.zeros((m + 2, m + 2))
     inverse_root[:m, :m] = scipy.linalg.solve_triangular(root, np.eye(m), lower=True, check_finite=False)
     inverse_root[[m, m + 1], [m, m + 1]] = 1.0 / (base.first_sd * np.sqrt(1.0 + together / max(base.runs, 1)))
-    return Ready(scene, np.concatenate([scene.features, scene.first - base.first]), inverse_root)
+    features = scene.features if shift is None else scene.features - shift
+    return Ready(scene, np.concatenate([features, scene.first - base.first]), inverse_root)
 
 
 @dataclass(slots=True)
@@ -192,8 +157,13 @@ class Joint:
         self._trait_sd = np.sqrt(np.diag(base.spread + base.doubt))
 
     def fit(self, start: Found, iterations: int) -> Found:
-        """The most probable unknowns of a hypothesis, from a start on."""
+        """The most probable unknowns of a hypothesis, from a start on.
+
+        Its evidence is minus infinity where no stem can be simulated there.
+        """
         at = self._linearised(replace(start))
+        if not np.isfinite(at.misfit):
+            return at
         damping = 1e-3
         for _ in range(iterations):
             normal, downhill = self._normal(at)
@@ -201,12 +171,13 @@ class Joint:
             while damping < 1e5:
                 step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
                 new = self._moved(at, step)
-                misfit = self._misfit_only(new)
-                if misfit < at.misfit:
-                    gain = at.misfit - misfit
-                    at, moved = self._linearised(new), gain > 0.02
-                    damping = max(damping / 10.0, 1e-6)
-                    break
+                if self._misfit_only(new) < at.misfit:
+                    new = self._linearised(new)
+                    # Where a stem can be simulated, but not those beside it, is no place to go on from.
+                    if np.isfinite(new.misfit):
+                        moved = at.misfit - new.misfit > 0.02
+                        at, damping = new, max(damping / 10.0, 1e-6)
+                        break
                 damping *= 10.0
             if not moved:
                 break
@@ -224,7 +195,7 @@ class Joint:
             start: coordinates of its parameters.
         """
         at, normal, downhill = self._about(before, cause, start)
-        if not np.isfinite(at.misfit):
+        if not (np.isfinite(at.misfit) and np.isfinite(normal).all()):
             return at
         step = np.linalg.solve(normal, downhill)
         misfit = at.misfit - 0.5 * float(downhill @ step)
@@ -235,16 +206,6 @@ class Joint:
         moved.evidence = float(-misfit - 0.5 * ratio)
         return moved
 
-    def estimated(self, before: Found, cause: Cause, start: Array) -> tuple[Array, Array]:
-        """Coordinates of a cause's parameters (q,), and their variances, if all were linear about a start.
-
-        Unlike :meth:`screened`, nothing keeps them within what is plausible.
-        """
-        at, normal, downhill = self._about(before, cause, start)
-        covariance = np.linalg.inv(normal)
-        own = np.arange(len(normal) - len(start), len(normal))
-        return at.coordinates[-len(start) :] + (covariance @ downhill)[own], np.diag(covariance)[own]
-
     def _about(self, before: Found, cause: Cause, start: Array) -> tuple[Found, Array, Array]:
         """One cause more at a start, and the normal equations there."""
         hypothesis = Hypothesis((*before.hypothesis.causes, cause))
@@ -252,21 +213,15 @@ class Joint:
         away = self._away(at)
         at.misfit = 0.5 * float(away @ self._precision(hypothesis) @ away)
         for run, own in enumerate(self.runs):
-            told, slopes = self._slopes_of_last(at, run, len(start))
-            residual = own.white(own.measured - told)
+            pushed = pushed_by(at.hypothesis, at.coordinates, len(start))
+            told = self._told(run, at.traits[run], at.start[run], pushed.changes)
+            residual = own.white(own.measured - told[0])
             at.residuals.append(residual)
-            at.jacobians.append(np.concatenate([before.jacobians[run], own.white(slopes)], axis=1))
+            known = before.jacobians[run]
+            slopes = known[:, :TRAITS] @ pushed.shifts + own.white(pushed.slopes(told[1:]))
+            at.jacobians.append(np.concatenate([known, slopes], axis=1))
             at.misfit += 0.5 * float(residual @ residual)
         return at, *self._normal(at)
-
-    def _slopes_of_last(self, found: Found, run: int, count: int) -> tuple[Array, Array]:
-        """Features of a run (m + 2,), and their derivatives (m + 2, count) in the last so many parameters."""
-        widths = np.array([0.05 * p.spread for p in found.hypothesis.parameters[-count:]])
-        away = np.zeros((count, len(found.coordinates)))
-        away[:, len(found.coordinates) - count :] = np.diag(widths)
-        lanes = found.coordinates + np.concatenate([np.zeros((1, away.shape[1])), away, -away])
-        told = self._told(run, found.traits[run], found.start[run], self._changes(found.hypothesis, lanes))
-        return told[0], ((told[1 : count + 1] - told[count + 1 :]) / (2.0 * widths[:, None])).T
 
     def _told(self, run: int, traits: Array, start: Array, changes: Sequence[Change]) -> Array:
         """Features of a run, with those of its first stem, shape (changes, m + 2).
@@ -313,33 +268,24 @@ class Joint:
         return Found(at.hypothesis, coordinates, traits, start)
 
     def features_of(self, found: Found, run: int, *, with_slopes: bool = True) -> tuple[Array, Array]:
-        """Features of a run (m + 2,), and their derivatives (m + 2, 11 + q) in its own unknowns and the parameters."""
-        parameters = found.hypothesis.parameters
-        q = len(parameters)
-        widths = np.concatenate([_STEP_SD * self._trait_sd, START_SD * 0.5, [0.05 * p.spread for p in parameters]])
-        unknown = np.concatenate([found.traits[run], found.start[run], found.coordinates])
-        n = len(widths)
-        # Differences to one side for a plant's own unknowns; to both for the parameters, which are the question.
-        away = np.diag(widths) if with_slopes else np.zeros((0, n))
-        lanes = unknown + np.concatenate([np.zeros((1, n)), away, -away[n - q :] if with_slopes else away])
-        changes = self._changes(found.hypothesis, lanes[:, _OWN:])
-        told = self._told(run, lanes[:, :TRAITS], lanes[:, TRAITS:_OWN], changes)
-        if not with_slopes:
-            return told[0], np.zeros((len(told[0]), 0))
-        slopes = told[1 : n + 1] - told[0]
-        slopes[n - q :] = 0.5 * (told[n + 1 - q : n + 1] - told[n + 1 :])
-        return told[0], (slopes / widths[:, None]).T
+        """Features of a run (m + 2,), and their derivatives (m + 2, 11 + q) in its own unknowns and the parameters.
 
-    @staticmethod
-    def _changes(hypothesis: Hypothesis, coordinates: Array) -> list[Change]:
-        made: dict[bytes, Change] = {}
-        out = []
-        for row in coordinates:
-            key = row.tobytes()
-            if key not in made:
-                made[key] = hypothesis.change(row)
-            out.append(made[key])
-        return out
+        All differences are to both sides: to one side they would be off by a hundredth, which tells a plant that grows
+        faster from one whose growth is multiplied, though nothing can.
+        """
+        pushed = pushed_by(found.hypothesis, found.coordinates, len(found.coordinates) if with_slopes else 0)
+        widths = np.concatenate([_STEP_SD * self._trait_sd, START_SD * 0.5])
+        away = np.diag(widths) if with_slopes else np.zeros((0, _OWN))
+        still = np.zeros((len(pushed.changes), _OWN))
+        lanes = np.concatenate([found.traits[run], found.start[run]]) + np.concatenate([still, away, -away])
+        changes = pushed.changes + [pushed.changes[0]] * (2 * len(away))
+        told = self._told(run, lanes[:, :TRAITS], lanes[:, TRAITS:], changes)
+        if not with_slopes:
+            return told[0], np.zeros((told.shape[1], 0))
+        up, down = told[len(still) :].reshape(2, _OWN, told.shape[1])
+        own = ((up - down) / (2.0 * widths[:, None])).T
+        parameters = own[:, :TRAITS] @ pushed.shifts + pushed.slopes(told[1 : len(still)])
+        return told[0], np.concatenate([own, parameters], axis=1)
 
     def _linearised(self, found: Found) -> Found:
         found.residuals, found.jacobians = [], []
@@ -351,7 +297,8 @@ class Joint:
             found.residuals.append(residual)
             found.jacobians.append(own.white(slopes))
             total += 0.5 * float(residual @ residual)
-        found.misfit = total
+        is_whole = np.isfinite(total) and all(np.isfinite(jacobian).all() for jacobian in found.jacobians)
+        found.misfit, found.evidence = total if is_whole else np.inf, -np.inf
         return found
 
     def _misfit_only(self, found: Found) -> float:

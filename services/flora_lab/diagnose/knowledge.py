@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_lab.diagnose import chance, learn, rhythm, usual_errors
-from flora_lab.diagnose.joint import Base, Found, Joint, ready
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
 from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
@@ -50,20 +50,31 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     """Learn from runs in which nothing is taken to be wrong."""
     base, fits = learn.learned(scenes, on_round)
     alone = base.of_single_runs()
-    joints, ends = [], []
-    for scene, fit in zip(scenes, fits, strict=True):
-        parts = chance.covariances(scene, scene.answers(fit.traits[0], Change()))
-        joint = Joint([ready(scene, alone, parts, together=0)], alone)
-        joints.append(joint)
-        ends.append(joint.fit(Found(fit.hypothesis, fit.coordinates, fit.traits, fit.start), _STEPS))
-    has_temperature = any(scene.has_temperature for scene in scenes)
-    errors = usual_errors.usual_errors(joints, ends, has_temperature)
+    parts = [
+        chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+        for scene, fit in zip(scenes, fits, strict=True)
+    ]
+    runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
+    ends = [_on(run, alone, fit) for run, fit in zip(runs, fits, strict=True)]
+    errors = usual_errors.usual_errors(runs, ends, alone)
+    usual = [errors.of_run(scene, end.traits[0], Change()) for scene, end in zip(scenes, ends, strict=True)]
+    runs = [
+        ready(scene, alone, own, together=0, besides=besides, shift=shift)
+        for scene, own, (shift, besides) in zip(scenes, parts, usual, strict=True)
+    ]
+    ends = [_on(run, alone, end) for run, end in zip(runs, ends, strict=True)]
     spectra = [spectra_of(scene, end, 0) for scene, end in zip(scenes, ends, strict=True)]
     swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     on_round(ROUNDS)
     shown = reference_residuals(scenes, base, ends)
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown)
+
+
+def _on(run: Ready, alone: Base, fit: Found) -> Found:
+    """A fit of one run, carried on."""
+    start = Found(fit.hypothesis, fit.coordinates, fit.traits, fit.start)
+    return Joint([run], alone).fit(start, _STEPS)
 
 
 def blocks(residual: Array) -> Array:

@@ -19,8 +19,11 @@ from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, p
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
-SPREAD_STRENGTH: Final = 4.0
-"""What the sources say of how plants differ counts as much as this many plants."""
+SPREAD_STRENGTH: Final = 20.0
+"""What the sources say of how differently plants differ in each constant counts as much as this many plants."""
+SIZE_STRENGTH: Final = 3.0
+"""What they say of how much plants differ in all, as this many."""
+_POPULATION_STEPS: Final = 40
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
 _FIRST_SD: Final = np.array([0.08, 0.06])
@@ -124,24 +127,46 @@ def _near(fits: Sequence[Found]) -> list[Found]:
 
 
 def _population(fits: Sequence[Found], known_doubt: Array, base: Base) -> Base:
-    """Mean and spread over plants: what the sources say, weighed against what the plants say."""
+    """Mean and spread over plants: what the sources say, weighed against what the plants say.
+
+    Expectation maximisation (Dempster, Laird and Rubin 1977) about the fits, where all is taken for linear. How much
+    plants differ in all is told well by nine of them; in what they differ more than in the rest is not, so that each
+    constant alone may only go little from what the sources say of it.
+    """
     count = len(fits)
-    values = np.concatenate([fit.traits for fit in fits])
+    plants = [_told_of(fit) for fit in fits]
     known_mean, known_spread = prior_mean(), prior_spread()
-    informations = [fit.jacobians[0][:, :TRAITS].T @ fit.jacobians[0][:, :TRAITS] for fit in fits]
-    mean, spread, doubt = values.mean(axis=0), known_spread, known_doubt
-    for _ in range(4):
-        within = [np.linalg.inv(info + np.linalg.inv(spread)) for info in informations]
-        away = values - mean
-        scatter = away.T @ away + np.sum(within, axis=0)
-        spread = (scatter + SPREAD_STRENGTH * known_spread) / (count + SPREAD_STRENGTH)
-        told = np.linalg.inv(known_doubt)
-        for info in informations:
-            told = told + info @ np.linalg.inv(np.eye(TRAITS) + spread @ info)
-        doubt = np.linalg.inv(told)
+    mean, spread = base.mean, base.spread
+    for _ in range(_POPULATION_STEPS):
+        held = np.linalg.inv(spread)
+        within = [np.linalg.inv(told + held) for told, _ in plants]
+        values = np.stack([own @ (pull + held @ mean) for own, (_, pull) in zip(within, plants, strict=True)])
         weight = known_doubt @ np.linalg.inv(known_doubt + spread / count)
         mean = known_mean + weight @ (values.mean(axis=0) - known_mean)
-    return replace(base, mean=mean, spread=spread, doubt=doubt)
+        away = values - mean
+        scatter = away.T @ away + np.sum(within, axis=0)
+        told_wider = float(np.median(np.diag(scatter) / np.diag(known_spread)))
+        wider = (told_wider + SIZE_STRENGTH) / (count + SIZE_STRENGTH)
+        spread = (scatter + SPREAD_STRENGTH * wider * known_spread) / (count + SPREAD_STRENGTH)
+    doubt = np.linalg.inv(known_doubt)
+    for told, _ in plants:
+        doubt = doubt + told @ np.linalg.inv(np.eye(TRAITS) + spread @ told)
+    return replace(base, mean=mean, spread=spread, doubt=np.linalg.inv(doubt))
+
+
+def _told_of(fit: Found) -> tuple[Array, Array]:
+    """What a run alone tells of its plant: precision of the traits (9, 9), and that times the estimate (9,).
+
+    That the first stem is not known exactly is in it.
+    """
+    jacobian, residual = fit.jacobians[0], fit.residuals[0]
+    whole = jacobian.T @ jacobian
+    whole[TRAITS:, TRAITS:] += np.diag(START_SD**-2.0)
+    downhill = jacobian.T @ residual
+    downhill[TRAITS:] -= fit.start[0] / START_SD**2
+    share = whole[:TRAITS, TRAITS:] @ np.linalg.inv(whole[TRAITS:, TRAITS:])
+    told = whole[:TRAITS, :TRAITS] - share @ whole[TRAITS:, :TRAITS]
+    return told, told @ fit.traits[0] + downhill[:TRAITS] - share @ downhill[TRAITS:]
 
 
 def _about_typical(base: Base, run: Ready, fit: Found, parts: Array) -> _Linear:

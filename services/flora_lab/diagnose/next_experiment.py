@@ -26,8 +26,10 @@ from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.diagnose.schedules import CHOICE, DEFAULT, Schedule
+from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.diagnose.verdict import RELATED
 from flora_lab.effects.catalogue import BY_NAME
-from flora_lab.effects.effect import Change
+from flora_lab.effects.effect import Change, is_same
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
 
@@ -73,18 +75,21 @@ Separating = dict[tuple[str, str], dict[str, float]]
 """Pair of causes to name of a schedule to nats a run."""
 
 
-def next_experiment(scenes: Sequence[Scene], base: Base, explanation: Explanation) -> NextExperiment:
+def next_experiment(
+    scenes: Sequence[Scene], base: Base, explanation: Explanation, errors: UsualErrors | None = None
+) -> NextExperiment:
     """What would separate the causes that may still be.
 
     Args:
         scenes: the runs that were explained.
         base: what is known of plants.
         explanation: of them.
+        errors: what the law is wrong in; in nothing where None.
     """
     candidates = candidates_of(explanation)
     if len(candidates) < 2:
         return NextExperiment(why="Nothing else comes near: no further run is needed to tell causes apart.")
-    told = separating(scenes, base, candidates, explanation.swing)
+    told = separating(scenes, base, candidates, explanation.swing, errors=errors)
     best, others = candidates[0], candidates[1:]
     asked = {other.name: told[best.name, other.name] for other in others}
     by_light = [other for other in others if max(asked[other.name].values()) >= TOLD_NATS]
@@ -119,8 +124,8 @@ def candidates_of(explanation: Explanation) -> list[Candidate]:
     out = [Candidate(best.effect.name, explanation.found, 0.0)]
     for tried in rivals(explanation):
         behind = best.gain - tried.gain
-        is_same = tried.effect.name in best.effect.same_as or best.effect.name in tried.effect.same_as
-        if tried.found is not None and (behind <= CLOSE_NATS or is_same) and len(out) < MOST:
+        is_near = behind <= (RELATED if is_same(best.effect, tried.effect) else CLOSE_NATS)
+        if tried.found is not None and (is_near or tried.effect.name in best.effect.exactly) and len(out) < MOST:
             out.append(Candidate(tried.effect.name, _to_the_end(explanation.joint, tried.found), max(behind, 0.0)))
     return out
 
@@ -136,6 +141,7 @@ def separating(
     candidates: Sequence[Candidate],
     swing: Swing | None = None,
     schedules: Sequence[Schedule] = CHOICE,
+    errors: UsualErrors | None = None,
 ) -> Separating:
     """How many nats a further run would bring, on the mean, between each two causes of which one is true.
 
@@ -145,13 +151,19 @@ def separating(
         candidates: the causes.
         swing: of the tip, that is there besides.
         schedules: to compare.
+        errors: what the law is wrong in.
     """
     pairs = list(itertools.combinations(candidates, 2))
     told: Separating = {(a.name, b.name): {} for a, b in pairs}
     for schedule in schedules:
         scene = planned(scenes, schedule)
-        parts = chance.covariances(scene, scene.answers(base.mean, Change()))
-        run = ready(scene, base, parts, together=1, swing=swing)
+        answers = scene.answers(base.mean, Change())
+        besides = np.zeros((scene.size, scene.size))
+        if swing is not None:
+            besides += chance.of_swing(scene, answers, swing)
+        if errors is not None:  # on the mean it is known, and does not tell one cause from another
+            besides += errors.of_run(scene, base.mean, Change())[1]
+        run = ready(scene, base, chance.covariances(scene, answers), together=1, besides=besides)
         shown = {candidate.name: typical(run, base, candidate) for candidate in candidates}
         for a, b in pairs:
             nats = lost(run, base, shown[a.name], b) + lost(run, base, shown[b.name], a)

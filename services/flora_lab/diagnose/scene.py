@@ -18,6 +18,7 @@ from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.shape import rods_through
 from flora_lab.simulator.terms import MEMORY, Driven, ExtendedLaw, Seen
+from flora_lab.simulator.tropism import LIGHT_HALF
 
 Array = npt.NDArray[Any]
 
@@ -215,14 +216,17 @@ class Scene:
 def late_light(light: Array, step_h: float, late_h: float, per_h: float) -> Array:
     """What shone on the plant, if the record runs before it: levels (steps, 2).
 
-    What shone before the first step and after the last is taken to be what shone in these.
+    What shone before the first step and after the last is taken to be what shone in these. A step in which a lamp
+    changes is told by the mean of the logarithm, which is what a plant sees: half a step of light is not half of it.
     """
     if late_h == 0.0 and per_h == 0.0:
         return light
+    seen = np.log1p(light / LIGHT_HALF)
     steps = len(light)
     edges = np.arange(steps + 1) * step_h
     then = edges - late_h - per_h * edges
-    dose = np.concatenate([np.zeros((1, 2)), np.cumsum(light, axis=0) * step_h])
-    beyond = np.minimum(then, 0.0)[:, None] * light[0] + np.maximum(then - edges[-1], 0.0)[:, None] * light[-1]
+    dose = np.concatenate([np.zeros((1, 2)), np.cumsum(seen, axis=0) * step_h])
+    beyond = np.minimum(then, 0.0)[:, None] * seen[0] + np.maximum(then - edges[-1], 0.0)[:, None] * seen[-1]
     told = np.stack([np.interp(then, edges, dose[:, lamp]) for lamp in range(2)], axis=1) + beyond
-    return np.asarray(np.clip(np.diff(told, axis=0) / np.maximum(np.diff(then), 1e-9)[:, None], 0.0, None))
+    means = np.diff(told, axis=0) / np.maximum(np.diff(then), 1e-9)[:, None]
+    return np.asarray(LIGHT_HALF * np.expm1(np.clip(means, 0.0, None)))

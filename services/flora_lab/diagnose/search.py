@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose.joint import Cause, Found, Joint
+from flora_lab.diagnose.hypothesis import Cause
+from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.effects.effect import Effect, Parameter
 
 Array = npt.NDArray[Any]
@@ -65,10 +66,9 @@ def _starts(parameters: Sequence[Parameter]) -> Iterator[Array]:
     From no effect what only changes a plant's constants is found at once, since there all is linear; from far away what
     is not.
     """
-    strength = next(i for i, p in enumerate(parameters) if p.none is not None)
-    told = [[p.coordinate(value) for value in p.starts] or [p.centre] for p in parameters]
+    told = []
+    for p in parameters:
+        starts = [p.coordinate(value) for value in p.starts]
+        told.append(starts if starts and p.none is None else [*starts, p.centre])
     for chosen in itertools.product(*told):
-        yield np.array(chosen)
-    none = [[p.centre] if i == strength else told[i] for i, p in enumerate(parameters)]
-    for chosen in itertools.product(*none):
         yield np.array(chosen)

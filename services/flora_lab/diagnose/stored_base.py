@@ -36,8 +36,8 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "first_sd": (2,),
     "swing_per_hour": (None,),
     "swing_power": (None,),
-    "error_mean": (None,),
-    "error_sd": (None,),
+    "error_sizes": (len(usual_errors.causes()),),
+    "error_mean": (sum(usual_errors.columns()),),
     "left": (None, 2),
     "swing_evidence": (None,),
 }
@@ -99,8 +99,8 @@ def write_known(
         "first_sd": base.first_sd,
         "swing_per_hour": known.swings.per_hour,
         "swing_power": known.swings.power,
+        "error_sizes": known.errors.sizes,
         "error_mean": known.errors.mean,
-        "error_sd": known.errors.sd,
         "left": known.left,
         "swing_evidence": known.swing_evidence,
     } | {
@@ -113,16 +113,11 @@ def write_known(
         step_s=simulator.step_s,
         weights=simulator.weights() | {_PREFIX + name: np.asarray(a, dtype=np.float64) for name, a in arrays.items()},
         scales=simulator.scales()
-        | {"diagnose": {"runs": base.runs, "swing_follows": known.swings.follows, "causes": _causes()}},
+        | {"diagnose": {"runs": base.runs, "swing_follows": known.swings.follows, "causes": usual_errors.causes()}},
         provenance=provenance,
         extensions=(*simulator.extensions, *extensions),
         force=force,
     )
-
-
-def _causes() -> list[str]:
-    """Whose usual errors are stored."""
-    return [f"{name} {form}" for name, form in usual_errors.causes()]
 
 
 def is_known(stored: Stored) -> bool:
@@ -139,7 +134,7 @@ def read_known(stored: Stored) -> Knowledge:
     where = str(stored.path)
     values = {name: stored.weight(_PREFIX + name, shape).astype(np.float64) for name, shape in _SHAPES.items()}
     told = stored.info.scales["diagnose"]
-    if not isinstance(told, dict) or told.get("causes") != _causes():
+    if not isinstance(told, dict) or told.get("causes") != usual_errors.causes():
         raise BadInput(f"{where}: was made by a version that knows other effects; learn it anew with --reference")
     runs, follows = told.get("runs"), told.get("swing_follows")
     if not isinstance(runs, int) or not isinstance(follows, int | float) or runs < 1 or not 0.0 <= follows <= 1.0:
@@ -157,7 +152,7 @@ def read_known(stored: Stored) -> Knowledge:
     return Knowledge(
         base,
         Swings(values["swing_per_hour"], values["swing_power"], float(follows)),
-        UsualErrors(values["error_mean"], values["error_sd"], runs),
+        UsualErrors(values["error_sizes"], values["error_mean"], runs),
         values["left"],
         values["swing_evidence"],
         _shown(stored),

@@ -13,10 +13,11 @@ import scipy.stats
 
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explain import SWING, Explanation, Stage, Tried
-from flora_lab.diagnose.joint import Cause, Found
+from flora_lab.diagnose.hypothesis import Cause
+from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
-from flora_lab.effects.effect import Effect, Parameter
+from flora_lab.effects.effect import Effect, Parameter, is_same
 
 Array = npt.NDArray[Any]
 
@@ -25,8 +26,10 @@ TEMPERATURE: Final = 2.5
 seeds 1000 to 5999 (``tests/discovery``)."""
 ALIKE: Final = 4.0
 """Nats within which a cause is not told from a better one."""
+RELATED: Final = 8.0
+"""The same for causes that light and track hardly tell apart: no law is right enough for it."""
 INSEPARABLE: Final = 12.0
-"""The same for causes that light and track can never tell apart: what is between them is the shape of a prior."""
+"""The same for causes that they can never tell apart: what is between them is the shape of a prior."""
 _EXACTLY: Final = 0.6
 NOTHING_FIRST: Final = 20.0
 """How many times more probable no cause is than any certain one, before any data."""
@@ -196,8 +199,7 @@ def _alike(stage: Stage) -> list[Tried]:
     out = []
     for other in stage.tried[1:]:
         behind = best.gain - other.gain
-        same = other.effect.name in best.effect.same_as or best.effect.name in other.effect.same_as
-        near = (behind < ALIKE and other.gain > 0.0) or (same and behind < INSEPARABLE)
+        near = other.gain > 0.0 and behind < (RELATED if is_same(best.effect, other.effect) else ALIKE)
         if near or (other.effect.name in best.effect.exactly and _is_as_good(best, other)):
             out.append(other)
     return out

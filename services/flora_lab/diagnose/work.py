@@ -161,7 +161,9 @@ def diagnose(
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c) if further else []
         gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
-        asked = next_experiment(scenes, start.known.base, explanation) if causes else NextExperiment()
+        asked = (
+            next_experiment(scenes, start.known.base, explanation, start.known.errors) if causes else NextExperiment()
+        )
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
         verdict=verdict_of(causes, left),

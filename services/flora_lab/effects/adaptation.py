@@ -47,4 +47,8 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    same_as={
+        "phototropic_gain": "a lamp that shines for a day and longer, beside fast turns",
+        "proprioception": "a lamp that shines for a day and longer, beside fast turns",
+    },
 )

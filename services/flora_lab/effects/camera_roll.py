@@ -36,4 +36,8 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    same_as={
+        "lamp_asymmetry": "a plumb line in the picture",
+        "draught": "a plumb line in the picture",
+    },
 )

@@ -37,4 +37,8 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    same_as={
+        "lamp_asymmetry": "a day in the dark or under both lamps, or the pot turned round",
+        "camera_roll": "a plumb line in the picture",
+    },
 )

@@ -85,7 +85,7 @@ class Change:
 
     Attributes:
         traits: added to the logarithms of the plant's constants, shape (9,).
-        terms: see :mod:`flora_lab.simulator.terms`, shape (12,).
+        terms: see :mod:`flora_lab.simulator.terms`, shape (11,).
         turn_deg: of the camera, positive when stems look as if they leant more to the right.
         drift_deg: the same, growing from 0 to this over 72 h.
         scale: centimetres that the camera takes one for.
@@ -109,6 +109,13 @@ class Change:
         """Multiply one of the plant's constants."""
         self.traits[NAMES.index(trait)] += np.log(factor)
 
+    def is_but_for_traits(self, other: Change) -> bool:
+        """Whether it is the same as another one, whatever both do to the plant's constants."""
+        mine, its = (
+            (c.turn_deg, c.drift_deg, c.scale, c.late_h, c.late_per_h, c.rhythm_cm, c.rhythm_h) for c in (self, other)
+        )
+        return mine == its and bool(np.array_equal(self.terms, other.terms))
+
 
 @dataclass(frozen=True, slots=True)
 class Effect:
@@ -120,7 +127,7 @@ class Effect:
         where: what it is an effect of: the plant, or the record of it.
         parameters: what it has.
         forms: ways in which nature may do it; each writes its change. The data choose between them.
-        same_as: effects that no track and light can tell from it, with what would.
+        same_as: effects that track and light hardly tell from it, or not at all, with what would.
         exactly: those of them that are the same in every light, to the last digit.
         sentence: what it means, given its values.
         prior: how much more often it is met than another one, before any data.
@@ -140,3 +147,8 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
+
+
+def is_same(one: Effect, other: Effect) -> bool:
+    """Whether it takes more than light and track to tell two effects apart, or very much of them."""
+    return other.name in one.same_as or one.name in other.same_as

@@ -30,7 +30,6 @@ EFFECT: Final = Effect(
             scale="log",
             meaning="on the constant of graviception",
             source="Bastien et al. 2013, 2015: constants of one order, over sorts",
-            starts=(0.7, 1.5),
         ),
     ),
     forms=(act,),

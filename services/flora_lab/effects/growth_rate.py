@@ -5,18 +5,19 @@ from __future__ import annotations
 from typing import Final
 
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
-from flora_lab.simulator import terms
 
 
 def growing(change: Change, v: Values) -> None:
     """Elongation alone."""
-    change.terms[terms.GROWTH] *= v["factor"]
+    change.times("growth_early_cm_per_day", v["factor"])
+    change.times("growth_late_cm_per_day", v["factor"])
 
 
 def acting(change: Change, v: Values) -> None:
     """Elongation and bending, as one activity."""
     growing(change, v)
-    change.terms[terms.ACTIVITY] = 1.0
+    for rate in ("photoception_per_cm_h", "graviception_per_cm_h", "proprioception_per_h"):
+        change.times(rate, v["factor"])
 
 
 def sentence(v: Values) -> str:
@@ -37,7 +38,6 @@ EFFECT: Final = Effect(
             scale="log",
             meaning="on the rate of elongation",
             source="plants of one sort differ by 10 to 15 %; soil and light do the rest",
-            starts=(0.65, 1.4),
         ),
     ),
     forms=(
@@ -45,4 +45,7 @@ EFFECT: Final = Effect(
         acting,
     ),
     sentence=sentence,
+    same_as={
+        "camera_scale": "a scale bar in the picture",
+    },
 )

@@ -36,4 +36,8 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    same_as={
+        "draught": "a day in the dark or under both lamps, or the pot turned round",
+        "camera_roll": "a plumb line in the picture",
+    },
 )

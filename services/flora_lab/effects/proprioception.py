@@ -30,9 +30,12 @@ EFFECT: Final = Effect(
             scale="log",
             meaning="on the constant of proprioception",
             source="Bastien et al. 2013, 2015: constants of one order, over sorts",
-            starts=(0.7, 1.5),
         ),
     ),
     forms=(act,),
     sentence=sentence,
+    same_as={
+        "phototropic_gain": "a lamp that shines for a day and longer, beside fast turns",
+        "adaptation": "a lamp that shines for a day and longer, beside fast turns",
+    },
 )

@@ -37,7 +37,6 @@ EFFECT: Final = Effect(
             scale="log",
             meaning="on the length of the zone below the tip in which a stem grows and bends",
             source="Ohad et al., 54 plants: e-fold of the modulus 3.5 to 6.3 cm",
-            starts=(0.75, 1.3),
         ),
     ),
     forms=(

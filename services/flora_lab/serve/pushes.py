@@ -31,14 +31,14 @@ class Push:
     """
 
     size: float
-    effects: tuple[tuple[str, int], ...]
+    effects: tuple[str, ...]
 
 
 PUSHES: Final = (
-    Push(0.05, (("draught", 0),)),  # curvature per cm and hour, to one side
-    Push(0.8, (("lamp_asymmetry", 0),)),  # logarithm of how much more one lamp pulls than the other
-    Push(0.4, (("diurnal_growth", 0), ("diurnal_growth", 0))),  # of growth, by the time of day
-    Push(4.0, (("camera_roll", 0), ("camera_drift", 0))),  # degrees of the camera: all the time, and more with time
+    Push(0.05, ("draught",)),  # curvature per cm and hour, to one side
+    Push(0.8, ("lamp_asymmetry",)),  # logarithm of how much more one lamp pulls than the other
+    Push(0.4, ("diurnal_growth", "diurnal_growth")),  # of growth, by the time of day
+    Push(4.0, ("camera_roll", "camera_drift")),  # degrees of the camera: all the time, and more with time
 )
 _POINTS: Final = 9.0
 _DAY_H: Final = 24.0
@@ -69,7 +69,7 @@ def usual_sizes(errors: UsualErrors) -> list[Array]:
     """How much of each healthy runs seem to show, arrays of shape (k,): no law is right in everything."""
     known = usual_errors.causes()
     at = [[known.index(effect) for effect in push.effects] for push in PUSHES]
-    return [np.sqrt(errors.mean[own] ** 2 + errors.sd[own] ** 2 * (1.0 + 1.0 / errors.runs)) for own in at]
+    return [errors.whole()[own] for own in at]
 
 
 def _turned(simulated: Array) -> Array:

@@ -9,9 +9,9 @@ step:
   ``RIGHT_TO_LEFT`` for the right lamp; both lose ``AGEING_PER_H`` of it per hour; while a lamp is on, its pull falls by
   up to ``ADAPTATION``, with ``ADAPTATION_H`` as time constant, and comes back with the same one while it is off;
 - a steady ``PUSH`` to the right, 1/(cm h), beside the law's other stimuli;
-- growth is ``GROWTH`` times as fast, follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after
-  the start, and is ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of
-  ``ACTIVITY``: 0 where it does not care, 1 where both are one activity, as in Bastien et al. 2015;
+- growth follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after the start, and is
+  ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of ``ACTIVITY``: 0 where it
+  does not care, 1 where both are one activity, as in Bastien et al. 2015;
 - the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once.
 """
 
@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.runs import LampsSection
-from flora_lab.simulator.fast_functions import fast_exp, inlined
+from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import (
@@ -37,16 +37,16 @@ from flora_lab.simulator.rod import (
     points_lane,
     whole_registers,
 )
-from flora_lab.simulator.tropism import MATURE, MATURE_EDGE_CM, PROPRIO, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism import LIGHT_HALF, MATURE, MATURE_EDGE_CM, PROPRIO, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
-GROWTH, DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 12)
+DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
 """Columns of the terms."""
-TERMS: Final = 12
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-"""Values at which nothing is changed, shape (12,)."""
+TERMS: Final = 11
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""Values at which nothing is changed, shape (11,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -70,8 +70,18 @@ _MOST_SAG: Final = 0.5
 
 
 @inlined
+def _between(before: float, after: float, share: float) -> float:
+    """The level that is seen as much as the mean of two, of which the later one lasts for a share of the time."""
+    if before == after:
+        return before
+    seen = (1.0 - share) * fast_log1p(before / LIGHT_HALF) + share * fast_log1p(after / LIGHT_HALF)
+    return float(LIGHT_HALF * (fast_exp(seen) - 1.0))
+
+
+@inlined
 def _delayed(memory: Array, left: float, right: float, delay_h: float, dt_h: float) -> tuple[float, float]:
-    """The mean levels over this step as they were ``delay_h`` ago; the step's own ones are noted.
+    """The levels over this step as they were ``delay_h`` ago, by the mean of what is seen of them; the step's own ones
+    are noted.
 
     Before the first step that it is told of, the lamps are taken to have been as they were in it. Of several steps in
     five minutes the last is noted, so that a change of light within them may act that much too early.
@@ -91,8 +101,8 @@ def _delayed(memory: Array, left: float, right: float, delay_h: float, dt_h: flo
     share = min(max((begin + width - far - 1.0) / width, 0.0), 1.0)
     near, far = _LINE + (at + min(far + 1, 0)) % _SLOTS, _LINE + (at + min(far, 0)) % _SLOTS
     return (
-        memory[far, 0] + share * (memory[near, 0] - memory[far, 0]),
-        memory[far, 1] + share * (memory[near, 1] - memory[far, 1]),
+        _between(memory[far, 0], memory[near, 0], share),
+        _between(memory[far, 1], memory[near, 1], share),
     )
 
 
@@ -110,7 +120,7 @@ def _pull(memory: Array, lamp: int, level: float, t: Array, dt_h: float) -> floa
 @inlined
 def _growth_factor(time_h: float, warmth_c: float, t: Array) -> float:
     rhythm = 1.0 + t[DIURNAL] * np.cos(2.0 * np.pi * (time_h - t[PEAK_H]) / _DAY_H)
-    return float(max(_LEAST_GROWTH, t[GROWTH] * rhythm * fast_exp(t[PER_DEGREE] * warmth_c)))
+    return float(max(_LEAST_GROWTH, rhythm * fast_exp(t[PER_DEGREE] * warmth_c)))
 
 
 @inlined
@@ -175,7 +185,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (12,).
+        t: the terms, shape (11,).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
     """
@@ -313,7 +323,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (12,).
+        terms: shape (11,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -370,7 +380,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 12).
+            terms: shape (batch, 11).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """
