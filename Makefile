@@ -13,7 +13,7 @@ SCALE  ?= small
 CASES  ?= 400
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery paper pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -81,7 +81,7 @@ kill-uploader: setup  ## kill the uploader at every system call of a transfer
 	@FLORA_KILL_ALL=1 $(BIN)/python -m pytest -s tests/rig/test_uploader_kill.py
 
 bench: setup  ## the benchmarks: latency, throughput, memory, idle load
-	@for file in tests/bench/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in $(filter-out %/bench_controller_gain.py,$(sort $(wildcard tests/bench/bench_*.py))); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 bench-vision: setup $(BENCH_VENV)/.made  ## stem finders against known truth, PlantCV and scikit-image too (BENCH='--full --json FILE --pictures DIR')
 	@$(BIN)/python tests/bench/bench_vision.py $(BENCH)
@@ -101,6 +101,9 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 	@$(BIN)/python -m venv $(KERAS_VENV)
 	@$(KERAS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
+
+bench-controllers: setup  ## what naming an effect is worth to controllers; twenty minutes (BENCH='--effects sag --kinds plan --json FILE')
+	@$(BIN)/python tests/bench/bench_controller_gain.py $(BENCH)
 
 discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 SEED=1 JOBS=2 ONLY=sag,draught)
 	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md

@@ -1,7 +1,7 @@
 """What naming an effect is worth to controllers: evolved without it and with it, run on plants that have it.
 
-    .venv/bin/python tests/bench/bench_controller_gain.py                    some twenty minutes
-    .venv/bin/python tests/bench/bench_controller_gain.py --effects sag --kinds plan --seeds 2 --json out/gain.json
+    make bench-controllers                                                    some twenty minutes
+    make bench-controllers BENCH='--effects sag --kinds plan --seeds 2 --json out/gain.json'
 
 For each effect controllers are evolved three times over: in the simulator without it, in the one that was extended by
 it with parameters as far off as a diagnosis usually is, and in one with the true parameters, which is as good as it

@@ -30,7 +30,6 @@ GAIN = Gain(
         "1h": {"base": 1.5, "extended": 1.2, "boosted": 2.0, "still": 4.0},
         "end": {"base": 16.0, "extended": 7.0, "boosted": 21.0, "still": 140.0},
     },
-    controller_fitness={"base": 0.871, "extended": 0.917},
     judged_on="Each run was left out in turn.",
 )
 UNEQUAL = NamedCause(

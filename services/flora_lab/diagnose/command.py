@@ -33,6 +33,14 @@ def diagnose(
     holdout: Annotated[
         list[Path] | None, typer.Option(metavar="RUN", help="A run to measure the gain on; repeatable.")
     ] = None,
+    controllers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TASK",
+            help="Evolve controllers for this task (left, middle, reality, round, or a task file) in the simulator as "
+            "it is and as it is extended, and compare them on plants with what was found (minutes).",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json.")] = False,
 ) -> None:
@@ -46,10 +54,13 @@ def diagnose(
         raise BadInput("give --simulator SIM or --reference RUNS_DIR: what the runs are to be compared with")
     folder = _module("folder")
     folder.check(output)
+    task = None if controllers is None else _task(controllers)
     with _progress(quiet or as_json) as (stage, note):
         result = _module("work").diagnose(
             runs, simulator=simulator, reference=reference, holdout=holdout or [], stage=stage, note=note
         )
+        if task is not None:
+            result = _module("controllers").compared(result, task, stage, note)
         drawn = stage("drawing", 1)
         folder.write(output, result)
         drawn()
@@ -63,6 +74,10 @@ def diagnose(
 def _module(name: str) -> Any:
     """A module of this package; they import numba, scipy and matplotlib, which others need not wait for."""
     return importlib.import_module(f"flora_lab.diagnose.{name}")
+
+
+def _task(text: str) -> Any:
+    return importlib.import_module("flora_lab.evolve.task_file").task_named(text, "--controllers")
 
 
 @contextlib.contextmanager

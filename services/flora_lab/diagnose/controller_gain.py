@@ -9,6 +9,7 @@ same plants, one by one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -46,6 +47,7 @@ class Effort:
         generations, population: of each.
         individuals: plants that each controller is tried on.
         judges: plants that decide, the same ones for all.
+        threads: to work in; what comes of it is the same.
     """
 
     seeds: int = 5
@@ -53,6 +55,7 @@ class Effort:
     population: int = 100
     individuals: int = 6
     judges: int = 24
+    threads: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +70,16 @@ class Judged:
     fitness: Array
     collides: Array
 
-    def told(self) -> dict[str, float]:
-        """In numbers: mean over all, how seeds and plants scatter, collisions."""
+    def told(self) -> dict[str, Any]:
+        """In numbers: mean over all, how seeds and plants scatter, collisions; and the mean of each seed and plant."""
         return {
             "mean": round(float(self.fitness.mean()), 4),
             "sd_of_seeds": round(float(self.fitness.mean(axis=1).std(ddof=1)) if len(self.fitness) > 1 else 0.0, 4),
             "sd_of_plants": round(float(self.fitness.std(axis=1, ddof=1).mean()), 4),
             "worst_plant": round(float(self.fitness.mean(axis=0).min()), 4),
             "collisions": round(float(self.collides.mean()), 4),
+            "of_seeds": np.round(self.fitness.mean(axis=1), 4).tolist(),
+            "of_plants": np.round(self.fitness.mean(axis=0), 4).tolist(),
         }
 
 
@@ -166,30 +171,26 @@ def _evolved_network(
     engine = NeatEngine(load_settings(population=effort.population), number)
     last: list[tuple[float, Any]] = []
 
+    def networks(arrays: GenomeArrays, plants: Simulator[Any], individuals: Individuals) -> tuple[Array, Array]:
+        outcomes = evaluate(arrays, plants, task, individuals, threads=effort.threads).outcomes
+        return outcomes.fitness.mean(axis=1), (outcomes.reason == COLLISION).mean(axis=1)
+
     def fitness(genomes: list[Any]) -> list[float]:
-        told = _networks(pack(genomes, len(INPUTS)), simulator, task, trained)[0].mean(axis=1).tolist()
+        told = networks(pack(genomes, len(INPUTS)), simulator, trained)[0].mean(axis=1).tolist()
         last[:] = sorted(zip(told, genomes, strict=True), key=lambda pair: -pair[0])[:SHORT_LIST]
         return [float(value) for value in told]
 
     for _ in range(effort.generations):
         engine.generation(fitness)
     listed = [genome for _, genome in last]
-    again = _networks(pack(listed, len(INPUTS)), simulator, task, choice)[0].mean(axis=1)
+    again = networks(pack(listed, len(INPUTS)), simulator, choice)[0].mean(axis=1)
     best = pack([listed[int(np.argmax(again))]], len(INPUTS))
 
     def on_plants(plants: Simulator[Any], individuals: Individuals) -> tuple[Array, Array]:
-        own, hit = _networks(best, plants, task, individuals)
+        own, hit = networks(best, plants, individuals)
         return own[0], hit[0]
 
     return on_plants
-
-
-def _networks(
-    arrays: GenomeArrays, simulator: Simulator[Any], task: Task, individuals: Individuals
-) -> tuple[Array, Array]:
-    """Fitness and share of collisions, shape (genomes, plants)."""
-    outcomes = evaluate(arrays, simulator, task, individuals).outcomes
-    return outcomes.fitness.mean(axis=1), (outcomes.reason == COLLISION).mean(axis=1)
 
 
 def _evolved_plan(
@@ -197,7 +198,10 @@ def _evolved_plan(
 ) -> _OnPlants:
     def run(genes: Array, plants: Simulator[Any], individuals: Individuals) -> tuple[Array, Array]:
         seeds: Sequence[int | None] = individuals.seeds() or [None]
-        own, hit = light_plans.run_plans(plants, task, seeds, light_plans.lamps(genes, task.most_steps))
+        is_right = light_plans.lamps(genes, task.most_steps)
+        with ThreadPoolExecutor(effort.threads) as pool:
+            told = list(pool.map(lambda seed: light_plans.run_plans(plants, task, [seed], is_right), seeds))
+        own, hit = (np.concatenate(arrays, axis=2) for arrays in zip(*told, strict=True))
         return own.mean(axis=1), hit.mean(axis=1)
 
     def judge(genes: Array) -> Array:

@@ -61,7 +61,9 @@ class Gain(msgspec.Struct, frozen=True):
     Attributes:
         one_step: simulator to tip error after one step.
         free_running: time (``1h``, ``6h``, ``24h``, ``end``) to simulator to tip error.
-        controller_fitness: simulator that a controller was evolved in to its fitness on the plant with the effects.
+        controller_fitness: kind of controllers (``feedback``, ``plan``) to what
+            :func:`flora_lab.diagnose.controller_gain.controller_gain` tells of them, and ``judged_on``, sentences;
+            empty where it was not asked for, or nothing was found in plants.
         judged_on: how runs were held out, a sentence.
     """
 

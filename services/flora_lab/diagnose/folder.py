@@ -18,7 +18,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
-from flora_lab.diagnose import corrected, figures, figures_of_runs, stored_base
+from flora_lab.diagnose import corrected, figures, figures_of_controllers, figures_of_runs, stored_base
 from flora_lab.diagnose.explain import CLAIM
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page
@@ -110,4 +110,6 @@ def pictures_of(result: Result) -> dict[str, bytes]:
     }
     if gain.free_running:
         made["gain"] = figures.gain(gain.free_running, gain.one_step)
+    if gain.controller_fitness:
+        made["controllers"] = figures_of_controllers.controllers(gain.controller_fitness)
     return made

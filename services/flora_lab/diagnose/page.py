@@ -7,6 +7,7 @@ from html import escape
 from typing import Any, Final, Literal
 
 from flora_lab import html_page
+from flora_lab.diagnose import controllers_told
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
 from flora_lab.diagnose.figures import GAIN_NAMES
 from flora_lab.diagnose.replayed import Plant
@@ -49,7 +50,7 @@ def page(diagnosis: Diagnosis, pictures: Mapping[str, bytes], *, evidence: Evide
     Args:
         diagnosis: what it says.
         pictures: by name, PNG, and ``film`` a GIF: ``paths``, ``phase``, ``stem``, ``spectrum``, ``evidence``,
-            ``gain``, ``stems``. Those that are missing are left out.
+            ``gain``, ``controllers``, ``stems``. Those that are missing are left out.
         evidence: of each round of the search, titles of causes and their nats, best first.
         plant: which of the simulated plants the pictures show.
     """
@@ -277,10 +278,7 @@ def _gained(gain: Gain, pictures: Mapping[str, bytes]) -> list[str]:
     if groups:
         rows = [[name, *(_mm_or_none(errors.get(key)) for key in shown)] for name, errors in groups]
         out.append(html_page.table(["error of the tip after", *(GAIN_NAMES[key] for key in shown)], rows))
-    if gain.controller_fitness:
-        out.append(html_page.paragraph("Controllers, evolved in either simulator and run on the plant as it is:"))
-        out.append(html_page.pairs([(_plain(name), _flat(v)) for name, v in gain.controller_fitness.items()]))
-    return out
+    return out + controllers_told.pieces(gain.controller_fitness, pictures)
 
 
 def _mm_or_none(value: float | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from flora_lab.diagnose import controllers_told
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.summary import title
 from flora_lab.diagnose.work import Result
@@ -20,6 +21,7 @@ def text(result: Result) -> str:
     if found.residuals.left:
         lines += [found.residuals.left, ""]
     lines += _gain(found.gain)
+    lines += controllers_told.lines(found.gain.controller_fitness)
     if found.next_experiment.why:
         lines += [f"next: {found.next_experiment.why}", ""]
     lines += [f"record: {note}" for note in found.record]

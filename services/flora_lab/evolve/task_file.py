@@ -59,8 +59,12 @@ class TaskFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scenario: Annotated[list[ScenarioSection], msgspec.Meta(max_length=MOST_SCENARIOS)] = []
 
 
-def task_named(text: str) -> Task:
+def task_named(text: str, option: str = "--task") -> Task:
     """What ``--task`` means: the name of a built-in task, or the path of a file.
+
+    Args:
+        text: as it was given.
+        option: that it was given with, for errors.
 
     Raises:
         BadInput: neither, or a file that is no task; one line that says what and where.
@@ -70,7 +74,7 @@ def task_named(text: str) -> Task:
     path = Path(text)
     if path.suffix != ".toml" and not path.is_file():
         names = ", ".join(BUILT_IN)
-        raise BadInput(f"--task {text[:80]}: neither a built-in task ({names}) nor a file{_near(text)}")
+        raise BadInput(f"{option} {text[:80]}: neither a built-in task ({names}) nor a file{_near(text)}")
     return read_task(path)
 
 
