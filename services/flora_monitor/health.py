@@ -91,9 +91,11 @@ class HealthBoard:
         age_s: float | None = None
         if heard.is_live:
             age_s = real_s - heard.real_s
-        if self._ages_are_known:
+        # It counts its time by another machine's clock, and need not be there.
+        is_elsewhere = service == COMES_AND_GOES
+        if self._ages_are_known and not is_elsewhere:
             age_s = max(0.0, (mono_ns - health.t_mono_ns) / NS)
-        is_silent = age_s is None or age_s > LATE_FACTOR * self._period_s
+        is_silent = not is_elsewhere if age_s is None else age_s > LATE_FACTOR * self._period_s
         state, reason = str(health.state), health.reason
         if is_silent:
             state = "silent"

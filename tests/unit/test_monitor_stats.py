@@ -183,6 +183,16 @@ def test_health_elsewhere_needs_a_live_message() -> None:
     assert verdicts(b, real_s=34.0) == {"flora-led": ("silent", False)}
 
 
+def test_the_lab_is_not_called_silent_because_its_machine_has_another_clock() -> None:
+    b = HealthBoard(["flora-led"], period_s=10.0, ages_are_known=True)
+    b.hear(health("flora-led", mono_s=5000.0), real_s=0.0, is_live=False)
+    b.hear(health("flora-lab", mono_s=12.0), real_s=0.0, is_live=False)
+    assert verdicts(b, mono_s=5000.0)["flora-lab"] == ("ready", True)
+    b.hear(health("flora-lab", "degraded", mono_s=22.0), real_s=4.0, is_live=True)
+    assert verdicts(b, real_s=5.0, mono_s=5005.0)["flora-lab"] == ("degraded", False)
+    assert verdicts(b, real_s=60.0, mono_s=5005.0)["flora-lab"] == ("silent", False)
+
+
 def test_line_for_programs_is_one_json_object_with_the_fields() -> None:
     line = show.line_for_programs(good(LightCommand(light="left", output=0.25, tick=7), lost=2))
     shown = json.loads(line)
