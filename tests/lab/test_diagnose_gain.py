@@ -29,6 +29,7 @@ from flora_lab.evolve.scenario_batch import arrays_of, collide, fitness
 from flora_lab.evolve.task import LEFT, REALITY
 from flora_lab.simulator import terms
 from flora_lab.simulator.interface import Chance
+from flora_lab.simulator.shape import can_start
 from flora_lab.simulator.store import Extension
 
 Array = Any
@@ -156,6 +157,33 @@ def test_what_the_black_box_learned_nothing_of_lies_between_what_it_did() -> Non
     assert added.shape == (2, 10, 2)
     assert added[1, :, 0] == pytest.approx([0.0, -0.1, -0.2, -0.3, 0.0, 0.3, 0.6, 0.7, 0.8, 0.9])
     assert added[1, :, 1] == pytest.approx(0.02 * np.arange(10))
+
+
+def test_a_box_that_corrects_the_stem_away_leaves_the_simulators() -> None:
+    class Vanishing(boosting.Learned):
+        """Takes away all of the stem that it is shown; a step adds less than a millimetre."""
+
+        def residual_cm(self, seen: Array) -> Array:
+            stems = np.zeros((len(seen), 10, 2))
+            stems[:, 1:] = seen[:, :18].reshape(-1, 9, 2)
+            return -stems
+
+    scene, base = measured()[0], known().base
+    run = replayed(scene, base, base.mean, base.mean, np.zeros(2), Change())
+    stems = boosting.run_freely(scene, run, base.mean, Vanishing(()))
+    assert np.isfinite(stems).all()
+    assert np.abs(stems[0, -1]).max() < 0.1  # what it told
+    assert not can_start(stems[:1])[0]
+
+
+def test_stems_that_lie_on_the_soil_are_no_start_of_a_step() -> None:
+    scene, base = measured()[0], known().base
+    points = scene.run.points_cm.copy()
+    points[100:130] *= 1e-3
+    flat = Scene(replace(scene.run, points_cm=points), scene.law)
+    run = replayed(flat, base, base.mean, base.mean, np.zeros(2), Change())
+    assert len(run.step_rows) > 0
+    assert not set(range(100, 130)) & set(run.step_rows.tolist())
 
 
 # Controllers

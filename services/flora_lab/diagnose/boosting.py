@@ -18,7 +18,7 @@ from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.scene import Scene
 from flora_lab.simulator.law import Stems, standing
-from flora_lab.simulator.shape import rods_through
+from flora_lab.simulator.shape import can_start, rods_through
 from flora_lab.simulator.terms import NEUTRAL, Driven, Seen
 
 Array = npt.NDArray[Any]
@@ -115,7 +115,8 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
             scene.law.advance_with(stems, traits[None], NEUTRAL[None], driven, shown, scene.step_h, 1, out[now, None])
             told = out[now] + added
             out[k] = told[0]
-            stems = Stems(*rods_through(told), stems.memory)
+            if can_start(told)[0]:  # else the box has corrected the stem away, and the simulator's own goes on
+                stems = Stems(*rods_through(told), stems.memory)
     return out
 
 

@@ -13,7 +13,7 @@ from flora_lab.diagnose.scene import Lanes, Scene, late_light
 from flora_lab.diagnose.virtual_plants import tips_between
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.law import Stems, standing
-from flora_lab.simulator.shape import rods_through
+from flora_lab.simulator.shape import can_start, rods_through
 from flora_lab.simulator.terms import Driven, Seen
 
 Array = npt.NDArray[Any]
@@ -125,7 +125,8 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
     light = late_light(scene.light, scene.step_h, change.late_h, change.late_per_h)
     points = scene.run.points_cm[: scene.steps + 1]
     seen = np.isfinite(points[:, -1, 0])
-    rows = np.nonzero(seen[:-1] & seen[1:])[0][::ONE_STEP_EVERY]
+    # A stem that lies on the soil is not one to start from.
+    rows = np.nonzero(can_start(points)[:-1] & seen[1:])[0][::ONE_STEP_EVERY]
     own = (traits + change.traits)[None]
     walker = standing(scene.law, scene.first_cm[None])
     memories = np.empty((len(rows), *walker.memory.shape[1:]))

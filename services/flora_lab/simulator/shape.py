@@ -14,6 +14,8 @@ from flora_lab.simulator.rod import CAPACITY, points_lane
 Array = npt.NDArray[Any]
 
 SEGMENT_CM: Final = 0.35
+LEAST_CM: Final = 0.1
+"""What is shorter is no stem to start from."""
 _FINE: Final = 16
 """Places per piece of the spline."""
 
@@ -43,7 +45,7 @@ def rods_through(points_cm: Array) -> tuple[Array, Array, Array]:
         line = smooth_line(points[b])
         step = np.hypot(*np.diff(line, axis=0).T)
         arc = np.concatenate([[0.0], np.cumsum(step)])
-        if arc[-1] < 0.1:
+        if arc[-1] < LEAST_CM:
             raise BadInput(f"a simulator cannot start from a stem of {10 * arc[-1]:.1f} mm; at least 1 mm is needed")
         n = min(int(np.ceil(arc[-1] / SEGMENT_CM)), CAPACITY - 1)
         at = np.linspace(0.0, arc[-1], n + 1)
@@ -54,6 +56,13 @@ def rods_through(points_cm: Array) -> tuple[Array, Array, Array]:
         angle[b, :n] = np.unwrap(np.arctan2(chord[:, 0], chord[:, 1]))
         count[b] = n
     return length, angle, count
+
+
+def can_start(points_cm: Array) -> Array:
+    """Whether :func:`rods_through` can make rods of stems (batch, 10, 2), shape (batch,)."""
+    chords = np.hypot(*np.moveaxis(np.diff(points_cm, axis=1), -1, 0))
+    # False as well where a point is not finite. The line through the points is no shorter than their chords.
+    return np.asarray(chords.sum(axis=1) >= LEAST_CM)
 
 
 def points_of(length: Array, angle: Array, count: Array) -> Array:
