@@ -17,6 +17,7 @@ from flora_lab.paper import command as paper
 from flora_lab.publish import command as publish
 from flora_lab.publish import signing_command as signing
 from flora_lab.report import command as report
+from flora_lab.rhythm import command as rhythm
 from flora_lab.rollout import command as rollout
 from flora_lab.serve import command as serve
 from flora_lab.track import command as track
@@ -32,6 +33,7 @@ SUBCOMMANDS: Final = (
     evolve,
     evaluate,
     diagnose,
+    rhythm,
     paper,
     signing,
     publish,

@@ -1,1 +1,1 @@
-"""``flora-lab rhythm``: whether the tip of a plant swings, how long its cycles are, and what a tip alone cannot tell."""
+"""``flora-lab rhythm``: whether the tip of a plant swings, how long its cycles are, what a tip alone cannot tell."""

@@ -10,6 +10,8 @@ Frequencies in this module are cycles per sample.
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -24,9 +26,9 @@ LEAST_PER_CYCLE: Final = 8
 """Samples of one cycle."""
 LEAST_SAMPLES: Final = 40
 """Below, fewer than two octaves of periods are left to search."""
-COHERENCE_CYCLES: Final = (1.5, 5.0, 20.0)
-"""Cycles over which a swing keeps its phase, that are tried."""
-STRENGTHS: Final = tuple(np.geomspace(1.0, 1e5, 11).tolist())
+COHERENCE_CYCLES: Final = (1.5, 5.0, 20.0, math.inf)
+"""Cycles over which a swing keeps its phase, that are tried; the last one keeps it throughout."""
+STRENGTHS: Final = tuple(np.geomspace(1.0, 1e5, 10).tolist())
 """Of a line, as multiples of the noise about it."""
 POWERS: Final = (1.0, 2.0, 3.0, 4.0)
 """How steeply the noise falls; 2 is a first-order process, 4 one that is pushed smoothly."""
@@ -36,8 +38,12 @@ _ALONE: Final = 16
 _BIN_SHARE: Final = 0.06
 _GRID_SHARE: Final = 0.05
 _GRID_STEP: Final = 0.3
-_KNEES: Final = 7
-_CROSSINGS: Final = 5
+_STEADY_WIDTH: Final = 0.15
+"""Of a line that keeps its phase, in cycles of the record: half the distance of the frequencies that are tried."""
+_KNEES: Final = 6
+_CROSSINGS: Final = 4
+_SMOOTHED: Final = (0.02, 0.03, 0.045, 0.065, 0.1, 0.16)
+"""Where a track ends that was smoothed before it came here: without these its shoulder would be taken for a swing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +92,12 @@ def periodogram(values: Array) -> Array:
     return np.asarray(np.add.reduceat(power[..., : edges[-1]], edges[:-1], axis=-1) / np.diff(edges))
 
 
-def drawn(spectrum: Array, n: int, count: int, rng: np.random.Generator) -> Array:
-    """Records of Gaussian noise of a spectrum on ``Lattice.fine``, shape (count, n)."""
+def drawn(spectra: Array, n: int, rng: np.random.Generator) -> Array:
+    """Records of Gaussian noise, shape (b, n), of spectra on ``Lattice.fine``, shape (b, q)."""
     whole = _PADDED * n
-    parts = rng.standard_normal((count, len(spectrum), 2)) @ np.array([1.0, 1.0j])
-    # Of a complex number of unit variance per part, half the power lies at either sign of the frequency.
-    series = np.fft.irfft(parts * np.sqrt(0.5 * whole * spectrum), n=whole, axis=-1)
+    parts = rng.standard_normal((*spectra.shape, 2)) @ np.array([1.0, 1.0j])
+    # Both parts of the number have unit variance: without the half its power would be twice the spectrum's.
+    series = np.fft.irfft(parts * np.sqrt(0.5 * whole * spectra), n=whole, axis=-1)
     return np.asarray(series[:, :n])
 
 
@@ -107,12 +113,12 @@ def lattice(n: int) -> Lattice:
     while tried[-1] < high:
         tried.append(tried[-1] + max(_GRID_STEP / n, _GRID_SHARE * tried[-1]))
     frequencies = np.minimum(np.array(tried), high)
-    spectra = np.array([[_line(fine, f, c) for c in COHERENCE_CYCLES] for f in frequencies])
+    spectra = np.array([[_line(n, fine, f, c) for c in COHERENCE_CYCLES] for f in frequencies])
     lines = spectra @ response.T
     highest = lines.max(axis=-1, keepdims=True)
     return Lattice(
         n=n,
-        at=np.array([0.5 * (a + b - 1) / n for a, b in zip(edges[:-1], edges[1:], strict=True)]),
+        at=np.array([0.5 * (a + b - 1) / n for a, b in itertools.pairwise(edges)]),
         counts=np.diff(edges).astype(np.float64),
         fine=fine,
         noises=noises,
@@ -146,7 +152,7 @@ def _response(n: int, edges: Array) -> Array:
     whole = _PADDED * n
     basis, taper = _trend(n), _taper(n)
     rows = []
-    for first, end in zip(edges[:-1], edges[1:], strict=True):
+    for first, end in itertools.pairwise(edges):
         waves = taper * np.exp(-2.0j * np.pi * np.outer(np.arange(first, end), np.arange(n)) / n)
         waves -= (waves @ basis) @ basis.T
         power = (np.abs(np.fft.fft(waves, n=whole, axis=-1)) ** 2).mean(axis=0) / (whole * np.sum(taper**2))
@@ -157,22 +163,30 @@ def _response(n: int, edges: Array) -> Array:
 
 
 def _noises(n: int, fine: Array) -> Array:
-    """Noise that falls by several powers beyond a knee, with white noise of measuring under it or without."""
+    """Noise that falls by several powers beyond a knee, smoothed or not, with white noise of measuring or without."""
     height = 2.0 * np.sin(np.pi * fine)
-    found = []
-    for power in POWERS:
-        for knee in np.geomspace(0.3 / n, 0.1, _KNEES):
-            slow = (height**2 + (2.0 * np.sin(np.pi * knee)) ** 2) ** (-0.5 * power)
-            slow /= float(slow[1:].mean())
-            found.append(slow)
-            for crossing in np.geomspace(4.0 / n, 0.2, _CROSSINGS):
-                if crossing > knee:
-                    found.append(slow + float(np.interp(crossing, fine, slow)))
-    found.append(np.ones(len(fine)))
+    knees = np.geomspace(0.3 / n, 0.1, _KNEES)
+    slow = [
+        (knee, knee, (height**2 + (2.0 * np.sin(np.pi * knee)) ** 2) ** (-0.5 * p)) for p in POWERS for knee in knees
+    ]
+    for knee in knees[::2]:
+        first_order = 1.0 / (height**2 + (2.0 * np.sin(np.pi * knee)) ** 2)
+        slow += [(knee, end, first_order * np.exp(-((fine / end) ** 2))) for end in _SMOOTHED if end > 2.0 / n]
+    found = [np.ones(len(fine))]
+    for knee, end, spectrum in slow:
+        one = spectrum / float(spectrum[1:].mean())
+        # A smoothed track without any noise of measuring would fall without end.
+        crossings = np.geomspace(4.0 / n, 0.2, _CROSSINGS) if end == knee else np.array([1.0, 1.5, 2.1, 3.0]) * end
+        if end == knee:
+            found.append(one)
+        found += [one + float(np.interp(crossing, fine, one)) for crossing in crossings if crossing > knee]
     return np.array(found)
 
 
-def _line(fine: Array, per_sample: float, coherence_cycles: float) -> Array:
+def _line(n: int, fine: Array, per_sample: float, coherence_cycles: float) -> Array:
+    if math.isinf(coherence_cycles):
+        # The tails of a drifting line would hide that there is nothing beside a steady one.
+        return np.asarray(np.exp(-0.5 * ((fine - per_sample) * n / _STEADY_WIDTH) ** 2))
     half = per_sample / (2.0 * np.pi * coherence_cycles)
     # Narrower than the fine grid it would fall between two of its places.
     half = max(half, 1.5 * float(fine[1]))

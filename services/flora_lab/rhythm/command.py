@@ -1,0 +1,71 @@
+"""``flora-lab rhythm``: its options."""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from flora_common.errors import BadInput
+
+LONGEST_STEP_S: Final = 86_400.0
+
+
+class Along(enum.StrEnum):
+    """Coordinates of a tip."""
+
+    X = "x"
+    Y = "y"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the subcommand to ``flora-lab``."""
+    app.command("rhythm")(rhythm)
+
+
+def rhythm(
+    tracks: Annotated[
+        list[Path], typer.Argument(metavar="TRACKS...", help="Run folders, tracks, or tables of a tip over time.")
+    ],
+    *,
+    step_s: Annotated[
+        float | None, typer.Option("--step-s", help="Seconds between frames, for tables of frames.")
+    ] = None,
+    px_per_cm: Annotated[float | None, typer.Option("--px-per-cm", help="Scale, for tables in px.")] = None,
+    along: Annotated[Along, typer.Option(help="The coordinate to search.")] = Along.X,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder to write: rhythm.json and rhythm.png.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the noise that is drawn.")] = 1,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as one JSON object.")] = False,
+) -> None:
+    """Whether the tip of a plant swings, how long its cycles are, and what a tip alone cannot tell.
+
+    A track of the tip is enough: no lamps, no stem, no reference runs. Each track is judged beside noise like its own.
+    """
+    if output is not None and (output.exists() or output.is_symlink()):
+        raise BadInput(f"{output}: is there already; name another folder with -o")
+    for value, name, most in ((step_s, "--step-s", LONGEST_STEP_S), (px_per_cm, "--px-per-cm", 1e5)):
+        if value is not None and not 0.0 < value <= most:
+            raise BadInput(f"{name}: {value:g} does not lie in (0, {most:g}]")
+    read = [_module("tip_track").read_tip(path, step_s=step_s, px_per_cm=px_per_cm) for path in tracks]
+    judgement, report = _module("judgement"), _module("report")
+    judged = [judgement.judge(track, along=along.value, seed=seed) for track in read]
+    if output is not None:
+        report.write_folder(output, judged)
+    if as_json:
+        typer.echo(json.dumps(report.as_json(judged)))
+    elif not quiet:
+        typer.echo(report.text(judged), nl=False)
+        if output is not None:
+            typer.echo(f"wrote {output}")
+
+
+def _module(name: str) -> Any:
+    """A module of this package; they import numpy and matplotlib, which the other subcommands need not wait for."""
+    return importlib.import_module(f"flora_lab.rhythm.{name}")
