@@ -8,6 +8,12 @@ from flora_common import files
 from flora_common.errors import BadInput
 
 
+def must_be_new(path: Path) -> None:
+    """Whether a folder may be made there; BadInput where something is."""
+    if path.exists() or path.is_symlink():
+        raise BadInput(f"{path}: is there already; name another folder with -o")
+
+
 def check_output(
     path: Path, *, force: bool, needed: frozenset[str], allowed: frozenset[str] = frozenset(), what: str
 ) -> None:

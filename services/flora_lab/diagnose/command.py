@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.made_folders import must_be_new
 
 
 def register(app: typer.Typer) -> None:
@@ -52,9 +53,9 @@ def diagnose(
     """
     if simulator is None and reference is None:
         raise BadInput("give --simulator SIM or --reference RUNS_DIR: what the runs are to be compared with")
-    folder = _module("folder")
-    folder.check(output)
+    must_be_new(output)
     task = None if controllers is None else _task(controllers)
+    folder = _module("folder")
     with _progress(quiet or as_json) as (stage, note):
         result = _module("work").diagnose(
             runs, simulator=simulator, reference=reference, holdout=holdout or [], stage=stage, note=note

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose import chance, rhythm, search
 from flora_lab.diagnose.hypothesis import Hypothesis
-from flora_lab.diagnose.joint import Found, Joint, ready
+from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import Answers, Scene
@@ -165,12 +165,12 @@ class Explainer:
         tried: list[Tried] = []
         effects = [e for e in CATALOGUE if e.forms and e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
-            tried.append(self._tried(before, effect, fit))
+            tried.append(Tried(effect, evidence_for_last(before, fit), fit))
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:
             # Only looked at linearly so far.
             effect, fit = tried[0].effect, joint.fit(_started(tried[0].found), 12)
-            tried[0] = self._tried(before, effect, fit)
+            tried[0] = Tried(effect, evidence_for_last(before, fit), fit)
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
@@ -180,11 +180,6 @@ class Explainer:
             if own.gain > 0.0:
                 tried.insert(place, own)
         return Stage(before, tuple(tried))
-
-    def _tried(self, before: Found, effect: Effect, fit: Found) -> Tried:
-        """What a fit says for its last cause."""
-        gain = float(fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior))
-        return Tried(effect, gain, fit)
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
@@ -267,15 +262,11 @@ def _side_by_side(alone: Sequence[Found]) -> Found:
 
 def _without(found: Found, name: str) -> Found:
     """The same start without one of the causes."""
-    causes, coordinates, at = [], [], 0
-    for cause in found.hypothesis.causes:
-        own = found.coordinates[at : at + len(cause.parameters)]
-        at += len(cause.parameters)
-        if cause.effect.name != name:
-            causes.append(cause)
-            coordinates.append(own)
-    joined = np.concatenate(coordinates) if coordinates else np.zeros(0)
-    return Found(Hypothesis(tuple(causes)), joined, found.traits.copy(), found.start.copy())
+    hypothesis = found.hypothesis
+    shares = zip(hypothesis.causes, hypothesis.shares(found.coordinates), strict=True)
+    kept = [(cause, own) for cause, own in shares if cause.effect.name != name]
+    joined = np.concatenate([np.zeros(0), *(own for _, own in kept)])
+    return Found(Hypothesis(tuple(cause for cause, _ in kept)), joined, found.traits.copy(), found.start.copy())
 
 
 def _started(found: Found) -> Found:

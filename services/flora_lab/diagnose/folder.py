@@ -17,7 +17,6 @@ from typing import Final
 import msgspec
 
 from flora_common import files
-from flora_common.errors import BadInput
 from flora_lab.diagnose import corrected, figures, figures_of_controllers, figures_of_runs, stored_base
 from flora_lab.diagnose.explain import CLAIM
 from flora_lab.diagnose.film import film
@@ -34,16 +33,6 @@ EXTENDED: Final = "extended.simulator"
 CORRECTED: Final = "corrected"
 EXPERIMENT: Final = "next-experiment.toml"
 _HOURS: Final = 72.0
-
-
-def check(path: Path) -> None:
-    """Whether a diagnosis may be written there.
-
-    Raises:
-        BadInput: something is there.
-    """
-    if path.exists() or path.is_symlink():
-        raise BadInput(f"{path}: is there already; name another folder with -o")
 
 
 def write(path: Path, result: Result) -> None:

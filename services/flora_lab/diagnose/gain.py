@@ -17,7 +17,7 @@ import numpy.typing as npt
 from flora_lab.diagnose import boosting
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.explain import Explanation
-from flora_lab.diagnose.joint import Base, Found, Joint
+from flora_lab.diagnose.joint import Base, Found, Joint, evidence_for_last
 from flora_lab.diagnose.replayed import Replayed, replayed
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import Scene
@@ -130,7 +130,7 @@ def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
         before, *fits = [_fitted(joint, rest, one) for one in (stage.before, explanation.found, *others)]
         chosen = fits[0]
         for fit in fits[1:]:
-            if _evidence(before, fit) > _evidence(before, chosen):
+            if evidence_for_last(before, fit) > evidence_for_last(before, chosen):
                 chosen = fit
         won += chosen is not fits[0]
         folds.append(Fold(tuple(rest), (out,), chosen.hypothesis.change(chosen.coordinates)))
@@ -140,11 +140,6 @@ def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
 def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
     """The same causes for some of the runs."""
     return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
-
-
-def _evidence(before: Found, fit: Found) -> float:
-    effect = fit.hypothesis.causes[-1].effect
-    return float(fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior))
 
 
 def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.Learned) -> dict[str, _Errors]:

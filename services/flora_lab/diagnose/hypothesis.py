@@ -13,7 +13,7 @@ from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
 
-_STEP_SPREAD: Final = 0.05
+STEP_SPREAD: Final = 0.05
 """Of differences, in standard deviations of what is known before."""
 
 
@@ -27,6 +27,14 @@ class Cause:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return self.effect.parameters
+
+    def values(self, coordinates: Array) -> dict[str, float]:
+        """Parameters by name, at these coordinates."""
+        return {p.name: p.value(float(u)) for p, u in zip(self.parameters, coordinates, strict=True)}
+
+    def act(self, change: Change, coordinates: Array) -> None:
+        """Add what it changes, with parameters at these coordinates."""
+        self.effect.forms[self.form](change, self.values(coordinates))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +50,15 @@ class Hypothesis:
 
     def change(self, coordinates: Array) -> Change:
         """What the causes change, with parameters at these coordinates."""
-        change, at = Change(), 0
-        for cause in self.causes:
-            own = cause.parameters
-            values = {p.name: p.value(float(u)) for p, u in zip(own, coordinates[at : at + len(own)], strict=True)}
-            cause.effect.forms[cause.form](change, values)
-            at += len(own)
+        change = Change()
+        for cause, own in zip(self.causes, self.shares(coordinates), strict=True):
+            cause.act(change, own)
         return change
+
+    def shares(self, coordinates: Array) -> list[Array]:
+        """The coordinates of each cause."""
+        ends = np.cumsum([len(cause.parameters) for cause in self.causes], dtype=np.int64)
+        return [coordinates[end - len(cause.parameters) : end] for cause, end in zip(self.causes, ends, strict=True)]
 
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
@@ -83,7 +93,7 @@ def pushed_by(hypothesis: Hypothesis, coordinates: Array, count: int) -> Pushed:
     """See :class:`Pushed`, for the last ``count`` parameters."""
     here = hypothesis.change(coordinates)
     first = len(coordinates) - count
-    widths = np.array([_STEP_SPREAD * p.spread for p in hypothesis.parameters[first:]])
+    widths = np.array([STEP_SPREAD * p.spread for p in hypothesis.parameters[first:]])
     shifts = np.zeros((len(NAMES), count))
     acting, more, less = [], [], []
     for k in range(count):

@@ -131,13 +131,14 @@ class Found:
 
     def values(self) -> list[dict[str, float]]:
         """Parameters of each cause by name."""
-        found, at = [], 0
-        for cause in self.hypothesis.causes:
-            own = cause.parameters
-            us = self.coordinates[at : at + len(own)]
-            found.append({p.name: p.value(float(u)) for p, u in zip(own, us, strict=True)})
-            at += len(own)
-        return found
+        causes, shares = self.hypothesis.causes, self.hypothesis.shares(self.coordinates)
+        return [cause.values(own) for cause, own in zip(causes, shares, strict=True)]
+
+
+def evidence_for_last(before: Found, fit: Found) -> float:
+    """Nats for the last cause of a fit, in one of its forms, beyond what there was before it."""
+    effect = fit.hypothesis.causes[-1].effect
+    return float(fit.evidence - before.evidence - np.log(len(effect.forms)) + np.log(effect.prior))
 
 
 class Joint:

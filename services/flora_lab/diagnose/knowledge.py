@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose import chance, learn, rhythm, usual_errors
+from flora_lab.diagnose import learn, rhythm, usual_errors
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
 from flora_lab.diagnose.rhythm import Spectrum, Swings
@@ -48,12 +48,8 @@ class Knowledge:
 
 def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
     """Learn from runs in which nothing is taken to be wrong."""
-    base, fits = learn.learned(scenes, on_round)
+    base, fits, parts = learn.learned(scenes, on_round)
     alone = base.of_single_runs()
-    parts = [
-        chance.covariances(scene, scene.answers(fit.traits[0], Change()))
-        for scene, fit in zip(scenes, fits, strict=True)
-    ]
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
     ends = [_on(run, alone, fit) for run, fit in zip(runs, fits, strict=True)]
     errors = usual_errors.usual_errors(runs, ends, alone)

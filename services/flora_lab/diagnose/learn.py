@@ -60,7 +60,9 @@ class _Linear:
         return np.asarray(self.slopes @ own @ self.slopes.T)
 
 
-def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> tuple[Base, list[Found]]:
+def learned(
+    scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None
+) -> tuple[Base, list[Found], list[Array]]:
     """Learn a base from runs in which nothing is taken to be wrong.
 
     Args:
@@ -68,7 +70,8 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _:
         on_round: told the number of each round that is done.
 
     Returns:
-        The base, and each run's own fit.
+        The base, each run's own fit, and what happens by chance about that, see
+        :func:`flora_lab.diagnose.chance.covariances`.
     """
     known_doubt = np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
     count = len(scenes)
@@ -99,7 +102,7 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _:
         linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
         base = _with_chance(linear, base)
         on_round(number)
-    return base, fits
+    return base, fits, parts
 
 
 def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -> list[Found]:

@@ -9,6 +9,7 @@ is news only beyond that. Kennedy and O'Hagan 2001 call it the discrepancy.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
+from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
 from flora_lab.diagnose.joint import START_SD, Base, Found, Ready
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -53,7 +55,6 @@ _LEFT_OUT: Final = (
     "circumnutation",
     "memory",
 )
-_STEP_SPREAD: Final = 0.05
 
 
 def strength_of(effect: Effect) -> int:
@@ -66,9 +67,10 @@ def causes() -> list[str]:
     return [effect.name for effect in CATALOGUE if effect.name not in _LEFT_OUT]
 
 
-def columns() -> list[int]:
+@functools.cache
+def columns() -> tuple[int, ...]:
     """How many kinds there are of each cause."""
-    return [len(_kinds(BY_NAME[name], strength_of(BY_NAME[name]))) for name in causes()]
+    return tuple(len(_kinds(BY_NAME[name], strength_of(BY_NAME[name]))) for name in causes())
 
 
 def expected_sizes() -> Array:
@@ -124,7 +126,7 @@ def directions(scene: Scene, traits: Array, change: Change) -> list[Array]:
     for effect in (BY_NAME[name] for name in causes()):
         own = strength_of(effect)
         places = _kinds(effect, own)
-        width = _STEP_SPREAD * effect.parameters[own].spread
+        width = STEP_SPREAD * effect.parameters[own].spread
         for at, side in itertools.product(places, (1.0, -1.0)):
             moved = at.copy()
             moved[own] += side * width
@@ -148,7 +150,7 @@ def _kinds(effect: Effect, own: int) -> list[Array]:
 def _further(change: Change, effect: Effect, coordinates: Array) -> Change:
     """A change, and an effect besides."""
     both = replace(change, traits=change.traits.copy(), terms=change.terms.copy())
-    effect.forms[0](both, {p.name: p.value(float(u)) for p, u in zip(effect.parameters, coordinates, strict=True)})
+    Cause(effect).act(both, coordinates)
     return both
 
 

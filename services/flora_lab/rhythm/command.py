@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from flora_common.errors import BadInput
+from flora_lab.made_folders import must_be_new
 
 LONGEST_STEP_S: Final = 86_400.0
 
@@ -48,8 +49,8 @@ def rhythm(
 
     A track of the tip is enough: no lamps, no stem, no reference runs. Each track is judged beside noise like its own.
     """
-    if output is not None and (output.exists() or output.is_symlink()):
-        raise BadInput(f"{output}: is there already; name another folder with -o")
+    if output is not None:
+        must_be_new(output)
     for value, name, most in ((step_s, "--step-s", LONGEST_STEP_S), (px_per_cm, "--px-per-cm", 1e5)):
         if value is not None and not 0.0 < value <= most:
             raise BadInput(f"{name}: {value:g} does not lie in (0, {most:g}]")

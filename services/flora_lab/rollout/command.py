@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.made_folders import must_be_new
 from flora_lab.run_tracks import load_runs
 
 EVERY_H: Final = 6.0
@@ -52,8 +53,8 @@ def rollout(
 
     Judge by runs that the simulator was not made from.
     """
-    if output is not None and (output.exists() or output.is_symlink()):
-        raise BadInput(f"{output}: is there already; name another folder with -o")
+    if output is not None:
+        must_be_new(output)
     horizons_h = _hours_list(horizons)
     if not (math.isfinite(watch_h) and 0.0 < watch_h <= LONGEST_H):
         raise BadInput(f"--watch-h: {watch_h:g} h does not lie in (0, {LONGEST_H:g}]")
