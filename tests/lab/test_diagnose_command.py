@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import tomli_w
 from diagnose_runs import CHANCE, change_of, run_of, turns, write_run
 from html_reader import Reader
 
@@ -159,6 +161,17 @@ def test_what_was_learned_is_given_the_next_time(
     assert not (tmp_path / "again" / "base.simulator").exists()
     assert (tmp_path / "again" / "extended.simulator").is_dir()
     assert "held out" in printed.gain.judged_on
+
+
+def test_an_extended_simulator_knows_what_it_was_extended_with(diagnosed: Path, runs: Path, tmp_path: Path) -> None:
+    """Another plant under the same effect is as expected, with the same name for what there is to know."""
+    other, out = next((runs / "held-out").iterdir()), tmp_path / "out"
+    simulator = diagnosed / "extended.simulator"
+    assert main(["diagnose", str(other), "--simulator", str(simulator), "-o", str(out), "--quiet"]) == 0
+    found = told(out)
+    assert found.verdict == "nothing_wrong"
+    assert found.causes == []
+    assert found.base["learned_from"] == "extended.simulator, learned from 5 runs, and extended with draught"
 
 
 def test_quiet_says_nothing(
@@ -340,6 +353,30 @@ def test_a_run_that_is_diagnosed_cannot_be_held_out(
     one, other = measured(runs)
     reference = ("--reference", runs / "reference", "-o", tmp_path / "out")
     assert f"{one}: is also to be diagnosed" in refused(capsys, one, other, "--holdout", one, *reference)
+
+
+def test_a_run_that_the_simulator_was_learned_from_is_neither_diagnosed_nor_held_out(
+    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would explain and judge itself."""
+    seen, out = next((runs / "reference").iterdir()), ("-o", tmp_path / "out")
+    said = f"{seen}: the simulator was learned from this run; take one that it has not seen"
+    assert said in refused(capsys, *measured(runs), "--holdout", seen, "--reference", runs / "reference", *out)
+    simulator = ("--simulator", diagnosed / "base.simulator")
+    assert said in refused(capsys, *measured(runs), "--holdout", seen, *simulator, *out)
+    assert said in refused(capsys, seen, *simulator, *out)
+
+
+def test_a_simulator_with_a_swing_of_its_own_is_no_start(
+    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swinging = tmp_path / "swinging.simulator"
+    shutil.copytree(diagnosed / "base.simulator", swinging)
+    table = tomllib.loads((swinging / "simulator.toml").read_text())
+    table["extension"] = [{"effect": "circumnutation", "parameters": {"period_h": 1.6, "amplitude_cm": 0.6}}]
+    (swinging / "simulator.toml").write_text(tomli_w.dumps(table))
+    said = refused(capsys, *measured(runs), "--simulator", swinging, "-o", tmp_path / "out")
+    assert "was extended with circumnutation, which a diagnosis cannot start from" in said
 
 
 def test_a_simulator_that_is_damaged_is_told(

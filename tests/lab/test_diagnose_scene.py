@@ -6,13 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose_runs import LAW, QUIET, STEP_S, TYPICAL, change_of, levels_of, run_of, scene_of, stem, still, turns
+from diagnose_runs import (
+    LAMPS,
+    LAW,
+    QUIET,
+    STEP_S,
+    TYPICAL,
+    Effects,
+    change_of,
+    levels_of,
+    run_of,
+    scene_of,
+    stem,
+    still,
+    turns,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flora_lab.diagnose.record import without
 from flora_lab.diagnose.scene import FEATURES, KNOT_H, Answers, Lanes, Scene, late_light
 from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism import LIGHT_HALF
 
 
@@ -34,6 +49,32 @@ def told_as(scene: Scene) -> np.ndarray:
     rows = np.arange(every, scene.steps + 1, every)
     clean = ramp(scene.run.step_s, scene.run.hours).run.points_cm[rows, None]
     return scene.of_points(clean)[0]
+
+
+# What the simulator has been extended with
+
+
+EXTENDED: list[tuple[Effects, Effects]] = [
+    ({}, {"sag": {"amplitude": 0.7}}),
+    ({"sag": {"amplitude": 0.3}}, {"sag": {"amplitude": 0.7}}),
+    ({"lamp_asymmetry": {"right_to_left": 0.8}}, {"lamp_asymmetry": {"right_to_left": 0.7}}),
+    ({"adaptation": {"time_constant_h": 3.0, "floor": 0.4}}, {"draught": {"drive_per_cm_h": 0.1}}),
+    ({"diurnal_growth": {"amplitude": 0.3, "peak_h": 7.0}}, {"phototropic_latency": {"delay_h": 0.5}}),
+]
+
+
+@pytest.mark.parametrize(("before", "found"), EXTENDED)
+def test_an_extended_simulator_has_its_effects_beside_what_is_found(before: Effects, found: Effects) -> None:
+    light = turns(24.0, 6.0)
+    both = change_of({**found, **before})
+    if "sag" in before:
+        both = change_of({"sag": {"amplitude": 1.0}})
+    if "lamp_asymmetry" in before:
+        both = change_of({"lamp_asymmetry": {"right_to_left": 0.56}})
+    plain = still(light)
+    extended = Scene(plain.run, ExtendedLaw(LAMPS, change_of(before).terms))
+    assert extended.simulated(lanes(change_of(found))) == pytest.approx(plain.simulated(lanes(both)), abs=1e-9)
+    assert np.abs(extended.simulated(lanes(change_of(found))) - plain.simulated(lanes(Change()))).max() > 0.01
 
 
 # What is compared

@@ -18,10 +18,13 @@ from flora_common.files import sha256_of_file
 from flora_lab.diagnose import chance, stored_base
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.residuals import as_arrays
+from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.load import load
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import Extension, Provenance, read_stored, write_simulator
+from flora_lab.simulator.terms import NEUTRAL
+from flora_lab.simulator.terms import SAG as SAG_TERM
 
 PROVENANCE = Provenance(recipe="diagnose", seed=0, software="flora")
 SAG = Extension("sag", {"amplitude": 0.7})
@@ -78,6 +81,19 @@ def test_it_is_a_simulator_whose_plants_differ(tmp_path: Path) -> None:
     # what is known of plants is the same, and the effect comes with the simulator
     there, back = (stored_base.read_known(read_stored(tmp_path / name)) for name in ("plain", "extended"))
     assert bits(there) == bits(back)
+    assert plain.terms.tobytes() == NEUTRAL.tobytes()
+    assert extended.terms[SAG_TERM] == pytest.approx(0.007)
+
+
+def test_plants_that_were_found_to_grow_faster_are_known_to(tmp_path: Path) -> None:
+    faster = Extension("growth_rate", {"factor": 1.5})
+    there, back = (
+        stored_base.read_known(read_stored(written(tmp_path / name, effects)))
+        for name, effects in (("plain", ()), ("faster", (faster,)))
+    )
+    more = change_of((faster,), "here").traits
+    assert np.abs(more).max() == pytest.approx(np.log(1.5))
+    assert back.base.mean - there.base.mean == pytest.approx(more)
 
 
 def test_chance_of_the_simulator_is_that_of_the_base() -> None:

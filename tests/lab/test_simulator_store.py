@@ -182,6 +182,13 @@ def test_a_table_that_is_wrong_is_told(folder: Path, change: Callable[[Any], Any
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize("kind", ["paper", "sequence"])
+def test_kinds_without_named_parts_are_not_extended(folder: Path, kind: str) -> None:
+    change_info(folder, lambda info: {**info, "kind": kind, "extension": [{"effect": "sag"}]})
+    with pytest.raises(BadInput, match=rf"kind `{kind}` takes no \[\[extension\]\]; only mechanistic, corrected do"):
+        load(folder)
+
+
 def test_text_that_is_no_table_and_kinds_that_nobody_knows_are_told(folder: Path) -> None:
     change_info(folder, lambda info: {**info, "kind": "oracle"})
     with pytest.raises(BadInput, match="kind `oracle` is not known; this program reads paper"):
@@ -212,7 +219,8 @@ print(json.dumps({"first_s": first_s, "heavy": heavy}))
 """
 
 
-def test_the_paper_simulator_loads_and_steps_at_once_and_without_learning_libraries(folder: Path) -> None:
+def test_the_paper_simulator_loads_and_steps_at_once_and_without_learning_libraries(tmp_path: Path) -> None:
+    folder = write(tmp_path / "sim", extensions=[])
     times_s = []
     for _ in range(3):
         done = subprocess.run(

@@ -19,7 +19,7 @@ from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.scene import Scene
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
-from flora_lab.simulator.terms import NEUTRAL, Driven, Seen
+from flora_lab.simulator.terms import Driven, Seen
 
 Array = npt.NDArray[Any]
 
@@ -112,7 +112,9 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
                 seen(told, scene.light[now], run.since_h[now], run.time_h[now], scene.warmth_c[now])
             )
             driven = Driven(scene.light[now, None], still, usual, usual, scene.warmth_c[now])
-            scene.law.advance_with(stems, traits[None], NEUTRAL[None], driven, shown, scene.step_h, 1, out[now, None])
+            scene.law.advance_with(
+                stems, traits[None], scene.law.terms[None], driven, shown, scene.step_h, 1, out[now, None]
+            )
             told = out[now] + added
             out[k] = told[0]
             if can_start(told)[0]:  # else the box has corrected the stem away, and the simulator's own goes on

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from flora_lab.diagnose import record
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.run_tracks import RunTrack, load_run, load_runs
 from flora_lab.simulator.measured import STEP_S, MeasuredRun, in_steps
-from flora_lab.simulator.terms import ExtendedLaw
+from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
 Array = npt.NDArray[Any]
 
@@ -42,9 +42,9 @@ class Runs:
     measured: tuple[MeasuredRun, ...]
     notes: tuple[str, ...]
 
-    def scenes(self, usual_c: float | None) -> list[Scene]:
-        """Ready to be compared with plants that are used to this temperature."""
-        return [Scene(run, ExtendedLaw(run.lamps or LampsSection()), usual_c) for run in self.measured]
+    def scenes(self, usual_c: float | None, terms: Array = NEUTRAL) -> list[Scene]:
+        """Ready to be compared with plants that are used to this temperature, and have these terms, shape (11,)."""
+        return [Scene(run, ExtendedLaw(run.lamps or LampsSection(), terms), usual_c) for run in self.measured]
 
     def usual_temperature_c(self) -> float | None:
         """Mean temperature, where all runs tell it."""
@@ -91,6 +91,21 @@ def read_holdout(paths: Sequence[Path], measured: Runs) -> Runs | None:
         if twin is not None:
             raise BadInput(f"{track.file}: is also to be diagnosed ({twin.file}); a run that is held out cannot be")
     return held_out
+
+
+def check_unseen(runs: Runs | None, learned_from: Collection[str]) -> None:
+    """Whether a simulator has not been learned from runs that it is to be compared with.
+
+    Args:
+        runs: these runs.
+        learned_from: SHA-256 of the tracks that it was learned from.
+
+    Raises:
+        BadInput: it has seen one of them, and would explain or judge itself.
+    """
+    for track in () if runs is None else runs.tracks:
+        if track.sha256 in learned_from:
+            raise BadInput(f"{track.file}: the simulator was learned from this run; take one that it has not seen")
 
 
 def read_reference(folder: Path, measured: Runs) -> Runs:

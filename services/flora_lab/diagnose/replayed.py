@@ -127,7 +127,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
     seen = np.isfinite(points[:, -1, 0])
     # A stem that lies on the soil is not one to start from.
     rows = np.nonzero(can_start(points)[:-1] & seen[1:])[0][::ONE_STEP_EVERY]
-    own = (traits + change.traits)[None]
+    own, terms = (traits + change.traits)[None], scene.terms_with(change)
     walker = standing(scene.law, scene.first_cm[None])
     memories = np.empty((len(rows), *walker.memory.shape[1:]))
     place = {int(row): k for k, row in enumerate(rows)}
@@ -137,7 +137,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
             memories[place[row]] = walker.memory[0]
         driven = _driven(light[row : row + 1, None], scene.warmth_c[row : row + 1, None])
         seen_by = Seen(np.zeros((0, 1)), np.ones(1))
-        scene.law.advance_with(walker, own, change.terms[None], driven, seen_by, scene.step_h, 2, nothing)
+        scene.law.advance_with(walker, own, terms[None], driven, seen_by, scene.step_h, 2, nothing)
     turn = np.radians(change.turn_deg + change.drift_deg * rows * scene.step_h / RUN_H)
     length, angle, count = rods_through(points[rows])
     stems = Stems(length / change.scale, angle - turn[:, None], count, memories)
@@ -146,7 +146,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
     scene.law.advance_with(
         stems,
         np.repeat(own, lanes, axis=0),
-        np.repeat(change.terms[None], lanes, axis=0),
+        np.repeat(terms[None], lanes, axis=0),
         _driven(light[rows][None], scene.warmth_c[rows][None]),
         Seen(turn[None], np.full(lanes, change.scale)),
         scene.step_h,

@@ -17,7 +17,17 @@ from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.shape import rods_through
-from flora_lab.simulator.terms import MEMORY, Driven, ExtendedLaw, Seen
+from flora_lab.simulator.terms import (
+    ACTIVITY,
+    ADAPTATION_H,
+    MEMORY,
+    NEUTRAL,
+    PEAK_H,
+    RIGHT_TO_LEFT,
+    Driven,
+    ExtendedLaw,
+    Seen,
+)
 from flora_lab.simulator.tropism import LIGHT_HALF
 
 Array = npt.NDArray[Any]
@@ -32,6 +42,8 @@ TOLD_STEPS: Final = 3
 KNOT_H: Final = {"bias": 0.5, "growth": 1.0, "gain": 1.0}
 _PUSH: Final = {"bias": 0.02, "growth": 0.2, "gain": 0.2}
 TEMPERATURE: Final = "temperature_c"
+_OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY]
+"""Terms that say of what kind another one is: they do not add up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +81,7 @@ class Scene:
 
     Args:
         run: what was measured.
-        law: with the places of the lamps; its own terms are not used.
+        law: with the places of the lamps, and the terms that the simulator was extended with.
         usual_c: the mean temperature of the runs that the simulator was learned from; None where it is not known.
     """
 
@@ -159,6 +171,14 @@ class Scene:
         means = np.einsum("wp,wpx->wx", self._weight, told).reshape(self.windows, points.shape[1], len(FEATURES))
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
+    def terms_with(self, change: Change) -> Array:
+        """The simulator's own terms with what is changed besides, shape (11,)."""
+        own, more = self.law.terms, change.terms
+        both = own + (more - NEUTRAL)
+        both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
+        both[_OF_A_KIND] = np.where(more == NEUTRAL, own, more)[_OF_A_KIND]
+        return np.asarray(both)
+
     def simulated(self, lanes: Lanes) -> Array:
         """Features, shape (lanes, m)."""
         return self.of_points(self.points(lanes))
@@ -206,7 +226,7 @@ class Scene:
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])
-        terms = np.stack([c.terms for c in changes])
+        terms = np.stack([self.terms_with(c) for c in changes])
         late = {(c.late_h, c.late_per_h): k for k, c in enumerate(changes)}
         lights = {key: late_light(self.light, self.step_h, *key) for key in late}
         light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)

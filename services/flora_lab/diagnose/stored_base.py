@@ -17,6 +17,7 @@ from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.rhythm import Swings
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.simulator.drives import DriveNoise
+from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.individual import Prior
 from flora_lab.simulator.rod_simulator import RodSimulator
@@ -139,7 +140,8 @@ def read_known(stored: Stored) -> Knowledge:
     runs, follows = told.get("runs"), told.get("swing_follows")
     if not isinstance(runs, int) or not isinstance(follows, int | float) or runs < 1 or not 0.0 <= follows <= 1.0:
         raise BadInput(f"{where}: scales.diagnose must name `runs` and `swing_follows`")
-    mean = stored.weight("trait_mean", (TRAITS,)).astype(np.float64)
+    extended = change_of(stored.info.extension, where)
+    mean = stored.weight("trait_mean", (TRAITS,)).astype(np.float64) + extended.traits
     base = Base(
         mean,
         values["spread"],

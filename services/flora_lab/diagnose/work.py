@@ -13,9 +13,9 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
 from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment, Residuals
-from flora_lab.diagnose.explain import Explainer, Explanation
+from flora_lab.diagnose.explain import SWING, Explainer, Explanation
 from flora_lab.diagnose.gain import measure_gain
-from flora_lab.diagnose.inputs import Runs, read_holdout, read_reference, read_runs
+from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.next_experiment import next_experiment
@@ -88,16 +88,19 @@ class Result:
     corrected: CorrectedSimulator | None = None
 
 
-def start_from(runs: Runs, simulator: Path | None, reference: Path | None, stage: Stage) -> Start:
+def start_from(
+    runs: Runs, held_out: Runs | None, simulator: Path | None, reference: Path | None, stage: Stage
+) -> Start:
     """Learn the base, or read it.
 
     Raises:
         BadInput: see :func:`flora_lab.diagnose.inputs.read_reference` and
-            :func:`flora_lab.simulator.store.read_stored`.
+            :func:`flora_lab.simulator.store.read_stored`; or it was learned from runs that are diagnosed or held out.
     """
     stored = read_stored(simulator) if simulator is not None else None
     if reference is not None:
         told = read_reference(reference, runs)
+        check_unseen(held_out, {track.sha256 for track in told.tracks})
         provenance = _provenance(told, "the runs of --reference")
         start = _learned(told, provenance, f"{len(told.measured)} reference runs", stage)
         return replace(start, judged=stored)
@@ -105,8 +108,17 @@ def start_from(runs: Runs, simulator: Path | None, reference: Path | None, stage
     assert stored is not None
     if stored_base.is_known(stored):
         read = RodSimulator.from_stored(stored)
+        if any(extension.effect == SWING for extension in read.extensions):
+            raise BadInput(
+                f"{simulator}: was extended with {SWING}, which a diagnosis cannot start from; give the base.simulator "
+                "that was extended"
+            )
         known = stored_base.read_known(stored)
-        words = f"{simulator.name}, learned from {known.base.runs} runs"
+        for given in (runs, held_out):
+            check_unseen(given, {track.sha256 for track in stored.info.provenance.track})
+        words = ", and extended with ".join(
+            [f"{simulator.name}, learned from {known.base.runs} runs", *(e.effect for e in read.extensions)]
+        )
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
     judged = simulator_of(stored)
     if not isinstance(judged, GrowingSimulator):
@@ -148,8 +160,9 @@ def diagnose(
     """
     runs = read_runs(paths, note)
     further = read_holdout(holdout, runs)
-    start = start_from(runs, simulator, reference, stage)
-    scenes = runs.scenes(start.usual_c)
+    start = start_from(runs, further, simulator, reference, stage)
+    terms = start.simulator.terms
+    scenes = runs.scenes(start.usual_c, terms)
     step = stage("looking for causes", len(CATALOGUE))
     with one_blas_thread():
         explanation = Explainer(scenes, start.known, step).explain()
@@ -159,7 +172,7 @@ def diagnose(
         said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
         extended_tables = _extended(scenes, start.known, explanation)
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
-        held_out = further.scenes(start.usual_c) if further else []
+        held_out = further.scenes(start.usual_c, terms) if further else []
         gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
         asked = (
             next_experiment(scenes, start.known.base, explanation, start.known.errors) if causes else NextExperiment()
@@ -206,7 +219,6 @@ def _extended(scenes: Sequence[Scene], known: Knowledge, explanation: Explanatio
 
 
 def _with_left(said: Residuals, left: Left, explanation: Explanation, known: Knowledge) -> Residuals:
-
     return msgspec.structs.replace(said, left=left_words(left, explanation, known))
 
 
@@ -221,5 +233,4 @@ def _provenance(told: Runs, words: str) -> Provenance:
 
 
 def _base_words(known: Knowledge) -> dict[str, Any]:
-
     return {"runs": known.base.runs, "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()}}

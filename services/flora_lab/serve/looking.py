@@ -64,11 +64,12 @@ def looked(task: LookTask) -> Looked:
     Raises:
         BadInput: a simulator that knows nothing of chance, or rows that are no run.
     """
-    known, lamps, usual_c = _known(task.simulator)
-    where = task.lamps or lamps
+    known, simulator = _known(task.simulator)
+    where = task.lamps or simulator.lamps
     run, _ = record.cleaned(measured(task.run, task.rows, where))
     before = msgspec.convert(task.watched, Watched) if task.watched is not None else Watched()
-    after = departing.followed(run, ExtendedLaw(where), usual_c, known, before, task.false_alarms)
+    law = ExtendedLaw(where, simulator.terms)
+    after = departing.followed(run, law, simulator.usual_temperature_c, known, before, task.false_alarms)
     hour = next((h for h in reversed(after.hours) if h.error_mm is not None), None)
     return Looked(
         watched=msgspec.to_builtins(after),
@@ -104,12 +105,11 @@ def measured(name: str, rows: list[Row], lamps: LampsSection) -> MeasuredRun:
 
 
 @functools.lru_cache(maxsize=2)
-def _known(path: Path) -> tuple[Knowledge, LampsSection, float | None]:
+def _known(path: Path) -> tuple[Knowledge, RodSimulator]:
     stored = read_stored(path)
     if not stored_base.is_known(stored):
         raise BadInput(
             f"{path}: knows nothing of chance, so that nobody can say what is beyond it; make one with "
             "`flora-lab diagnose --reference`"
         )
-    simulator = RodSimulator.from_stored(stored)
-    return stored_base.read_known(stored), simulator.lamps, simulator.usual_temperature_c
+    return stored_base.read_known(stored), RodSimulator.from_stored(stored)

@@ -18,6 +18,8 @@ KINDS: Final = {
 }
 """``kind`` in ``simulator.toml`` to the class that reads it, with ``from_stored(stored)``. Imported when it is needed:
 a kind's libraries take their time."""
+EXTENDED: Final = ("mechanistic", "corrected")
+"""Kinds whose plants can have named effects beside."""
 
 
 def load(path: Path) -> Simulator[Any]:
@@ -34,13 +36,18 @@ def simulator_of(stored: Stored) -> Simulator[Any]:
     """The simulated plant that was stored.
 
     Raises:
-        BadInput: a kind that this program does not know; or weights and scales that are not what the kind needs.
+        BadInput: a kind that this program does not know, or one that cannot be extended as it is told to be; or weights
+            and scales that are not what the kind needs.
     """
-    place = KINDS.get(stored.info.kind)
+    kind = stored.info.kind
+    place = KINDS.get(kind)
     if place is None:
         raise BadInput(
-            f"{stored.path / INFO_FILE}: kind `{stored.info.kind[:40]}` is not known; "
-            f"this program reads {', '.join(KINDS)}"
+            f"{stored.path / INFO_FILE}: kind `{kind[:40]}` is not known; this program reads {', '.join(KINDS)}"
+        )
+    if stored.info.extension and kind not in EXTENDED:
+        raise BadInput(
+            f"{stored.path / INFO_FILE}: kind `{kind}` takes no [[extension]]; only {', '.join(EXTENDED)} do"
         )
     module, _, name = place.partition(":")
     simulator: Simulator[Any] = getattr(importlib.import_module(module), name).from_stored(stored)

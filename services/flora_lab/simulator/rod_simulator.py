@@ -20,7 +20,7 @@ from flora_lab.simulator.individual import Prior
 from flora_lab.simulator.law import Law
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.store import INFO_FILE, Extension, Stored
-from flora_lab.simulator.terms import ExtendedLaw
+from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 from flora_lab.simulator.tropism import TropismLaw
 
 Array = npt.NDArray[Any]
@@ -64,6 +64,11 @@ class RodSimulator(GrowingSimulator):
         self.usual_temperature_c = usual_temperature_c
         self.added_traits = change.traits
         self._fitted_prior, self._fitted_noise = prior, noise
+
+    @property
+    def terms(self) -> Array:
+        """Of its extensions, see :mod:`flora_lab.simulator.terms`."""
+        return self.law.terms if isinstance(self.law, ExtendedLaw) else NEUTRAL
 
     def extended(self, extensions: Sequence[Extension]) -> RodSimulator:
         """The same simulator with further effects.
