@@ -40,12 +40,10 @@ DOUBT = 1e-3
 def advanced(plants: Any, is_right: Any, out: Any) -> None:
     """The courses of plants, all of which start in row 0; ``is_right`` is (steps, rows), ``out`` (steps, rows, ...)."""
     rows = is_right.shape[1]
-    for row in range(1, rows):
-        plants.copy_row(0, row)
+    plants.copy_rows(np.zeros(rows, dtype=np.int64), np.arange(rows), rows)
     for k in range(len(is_right)):
         plants.advance(rows, is_right[k], k)
-        for row in range(rows):
-            plants.points(row, out[k, row])
+        plants.points(rows, out[k])
 
 
 def courses(simulator: PaperSimulator, is_right: Any) -> Any:
@@ -117,11 +115,11 @@ def test_a_plant_takes_its_past_along_to_another_row() -> None:
 def there_and_back(plants: Any, row: int, moved: Any, stayed: Any) -> None:
     is_right = np.ones(row + 1, dtype=np.bool_)
     plants.advance(1, is_right, 0)
-    for other in range(1, row + 1):
-        plants.copy_row(0, other)
+    plants.copy_rows(np.zeros(row, dtype=np.int64), np.arange(1, row + 1), row)
     plants.advance(row + 1, is_right, 1)
-    plants.points(row, moved)
-    plants.points(0, stayed)
+    stems = np.empty((row + 1, *moved.shape))
+    plants.points(row + 1, stems)
+    moved[:], stayed[:] = stems[row], stems[0]
 
 
 def test_a_hyperbolic_tangent_in_parts_keeps_its_accuracy() -> None:

@@ -111,7 +111,7 @@ def test_compiled_plants_follow_the_same_members(members: int) -> None:
     for seed, member in zip(seeds, drawn, strict=True):
         plants = plants_of(simulator, SHORT, seed, 1)
         assert isinstance(plants, NeuralPlants)
-        assert len(plants.w_hh) == (members if member in (None, MEAN) else 1)
+        assert len(plants.weights.gates) == (members if member in (None, MEAN) else 1)
 
 
 @pytest.mark.parametrize(("count", "members"), [(0, 0), (3, MEMBERS)])

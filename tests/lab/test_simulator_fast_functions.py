@@ -18,9 +18,11 @@ import pytest
 from flora_common.errors import BadInput
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, fast_sincos
 from flora_lab.simulator.fast_lstm import MOST_CELLS, lstm_step
-from flora_lab.simulator.fast_scratch import scratch
+from flora_lab.simulator.fast_product import ROWS
+from flora_lab.simulator.fast_scratch import row_of, scratch
 from flora_lab.simulator.lstm_cell import LstmCell, LstmState
-from flora_lab.simulator.neural_law import NeuralLaw, weight_shapes
+from flora_lab.simulator.lstm_rows import SAID, RowWeights, lined_up, lstm_rows, row_weights
+from flora_lab.simulator.neural_law import INPUTS, OUTPUTS, WEIGHTS, NeuralLaw, weight_shapes
 
 Array = npt.NDArray[Any]
 
@@ -128,6 +130,7 @@ WIDTHS = """
 import hashlib
 import numpy as np
 from flora_lab.simulator import neural_law, tropism
+from flora_lab.simulator.lstm_rows import SAID, lined_up, lstm_rows, row_weights
 from flora_lab.simulator.rod import CAPACITY, points_lane
 
 rng, told, out = np.random.default_rng(1), hashlib.sha256(), np.empty((10, 2))
@@ -146,6 +149,14 @@ for learned in (False, True):
         points_lane(length, angle, n, out)
         told.update(out.tobytes())
     assert n > 19 and np.isfinite(out).all()
+four = row_weights(dict(zip(neural_law.WEIGHTS, weights)))
+inputs, h, c, said = lined_up((8, 13)), lined_up((8, 2, 13)), lined_up((8, 2, 13)), lined_up((8, SAID))
+for step in range(20):
+    inputs[:7] = rng.normal(size=(7, 13))
+    for m in range(2):
+        lstm_rows(0, 7, m, four, inputs, h, c, lined_up((4, *four.b.shape[1:])), said)
+        told.update(said.tobytes() + h.tobytes() + c.tobytes())
+assert np.abs(said[0]).max() > 0.01
 print(told.hexdigest())
 """
 
@@ -208,6 +219,64 @@ def taken(
     inputs: Array, memory: Array, w_ih: Array, w_hh: Array, b: Array, w_out: Array, b_out: Array, out: Array
 ) -> None:
     lstm_step(inputs, memory, w_ih, w_hh, b, w_out, b_out, out)
+
+
+@jit
+def one_by_one(
+    told: Array, memory: Array, w_ih: Array, w_hh: Array, b: Array, w_out: Array, b_out: Array, said: Array
+) -> None:
+    for row in range(len(told)):
+        for m in range(len(b)):
+            lstm_step(told[row], memory[row, m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said[m, row])
+
+
+@jit
+def four_at_once(
+    rows: int, weights: RowWeights, told: Array, hidden: Array, cell: Array, gates: Array, said: Array
+) -> None:
+    for m in range(len(said)):
+        lstm_rows(0, rows, m, weights, told, hidden, cell, gates, said[m])
+
+
+@pytest.mark.parametrize("cells", [1, 5, 32, MOST_CELLS])
+@pytest.mark.parametrize("rows", [1, 4, 7])
+def test_plants_at_once_are_those_one_by_one_to_the_bit(cells: int, rows: int) -> None:
+    rng, members = np.random.default_rng([cells, rows]), 3
+    weights = {
+        name: rng.normal(0.0, 0.5, size=shape).astype(np.float32)
+        for name, shape in weight_shapes(members, cells).items()
+    }
+    told = lined_up((-(-rows // ROWS) * ROWS, INPUTS))
+    told[:rows] = rng.normal(size=(rows, INPUTS))
+    memory = rng.normal(0.0, 0.5, size=(rows, members, 2, cells)).astype(np.float32)
+    hidden, cell = lined_up((len(told), members, cells)), lined_up((len(told), members, cells))
+    hidden[:rows], cell[:rows] = memory[:, :, 0], memory[:, :, 1]
+    packed = row_weights(weights)
+    gates, together = lined_up((ROWS, *packed.b.shape[1:])), lined_up((members, len(told), SAID))
+    alone, kept = np.empty((members, rows, OUTPUTS), dtype=np.float32), memory.astype(np.float64)
+    for _ in range(3):
+        one_by_one(told[:rows], kept, *(weights[name] for name in WEIGHTS), alone)
+        four_at_once(rows, packed, told, hidden, cell, gates, together)
+        assert together[:, :rows, :OUTPUTS].tobytes() == alone.tobytes()
+        assert hidden[:rows].tobytes() == kept[:, :, 0].astype(np.float32).tobytes()
+        assert cell[:rows].tobytes() == kept[:, :, 1].astype(np.float32).tobytes()
+    assert np.abs(alone).min() > 0.0
+
+
+@jit
+def of_rows(array: Array) -> tuple[float, float, int]:
+    total = 0.0
+    for i in range(array.shape[0]):
+        for j in range(array.shape[1]):
+            total += 10.0**j * row_of(row_of(array, i), j).sum()
+    row_of(array, 1)[0, 0] = -1.0
+    return total, row_of(array, array.shape[0] - 1)[0, 0], row_of(array, 0).ndim
+
+
+def test_rows_that_are_looked_at_are_those_of_the_array() -> None:
+    array = np.arange(12.0).reshape(2, 3, 2)
+    told = of_rows(array.copy())
+    assert told == (sum(10.0**j * array[:, j].sum() for j in range(3)), -1.0, 2)
 
 
 def test_a_network_that_there_is_no_room_for_is_refused() -> None:

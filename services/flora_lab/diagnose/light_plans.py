@@ -107,11 +107,8 @@ def run_plans(
 def _grow(plants: Plants, is_right: Array, stems: Array) -> None:
     """Stems of all plans, shape (steps + 1, plans, 10, 2), written."""
     steps, plans = is_right.shape
-    for row in range(1, plans):
-        plants.copy_row(0, row)
-    for row in range(plans):
-        plants.points(row, stems[0, row])
+    plants.copy_rows(np.zeros(plans, dtype=np.int64), np.arange(plans), plans)
+    plants.points(plans, stems[0])
     for k in range(steps):
         plants.advance(plans, is_right[k], k)
-        for row in range(plans):
-            plants.points(row, stems[k + 1, row])
+        plants.points(plans, stems[k + 1])

@@ -37,14 +37,18 @@ def jit_methods(plants: type[ClassT]) -> type[ClassT]:
 
 
 class Plants(Protocol):
-    """Rows of plants of one kind, of which the first so many are in use. Methods must compile."""
+    """Rows of plants of one kind, of which the first so many are in use. Methods must compile.
 
-    def points(self, row: int, out: Array) -> None:
-        """The stem of one plant.
+    Each is called once for many plants: numba counts references to all arrays of a tuple at every call, which takes
+    longer than to compute a stem.
+    """
+
+    def points(self, rows: int, out: Array) -> None:
+        """The stems of the first ``rows`` plants.
 
         Args:
-            row: which.
-            out: shape (10, 2), cm, written.
+            rows: how many are in use.
+            out: shape (rows or more, 10, 2), cm, written.
         """
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
@@ -56,8 +60,8 @@ class Plants(Protocol):
             step: number of the step, from 0.
         """
 
-    def copy_row(self, source: int, target: int) -> None:
-        """Make the plant in row ``target`` the one in row ``source``."""
+    def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
+        """Make the plants in the first ``count`` rows of ``targets`` those in ``sources``, one after the other."""
 
 
 def room(first: Array, rows: int) -> Array:
@@ -76,7 +80,7 @@ def _own(plants: Any, name: str) -> Callable[..., None] | None:
 
 
 @_method("points")
-def _points(self: Any, row: Any, out: Any) -> Callable[..., None] | None:
+def _points(self: Any, rows: Any, out: Any) -> Callable[..., None] | None:
     return _own(self, "points")
 
 
@@ -85,6 +89,6 @@ def _advance(self: Any, rows: Any, is_right: Any, step: Any) -> Callable[..., No
     return _own(self, "advance")
 
 
-@_method("copy_row")
-def _copy_row(self: Any, source: Any, target: Any) -> Callable[..., None] | None:
-    return _own(self, "copy_row")
+@_method("copy_rows")
+def _copy_rows(self: Any, sources: Any, targets: Any, count: Any) -> Callable[..., None] | None:
+    return _own(self, "copy_rows")

@@ -10,18 +10,19 @@ import numpy.typing as npt
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.plants_growing import (
     DriveCourse,
-    copy_stem,
+    copy_stems,
     drive_course,
     driven,
     first_state,
     levels,
+    points_of_rows,
     rooms,
 )
 from flora_lab.evolve.task import Task
 from flora_lab.simulator import terms
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.rod import LONGEST_STEP_H, length_of, points_lane
+from flora_lab.simulator.rod import LONGEST_STEP_H, length_of
 
 Array = npt.NDArray[Any]
 
@@ -53,8 +54,8 @@ class ExtendedPlants(NamedTuple):
     lamps_cm: Array
     course: DriveCourse
 
-    def points(self, row: int, out: Array) -> None:
-        points_lane(self.length[row], self.angle[row], self.segments[row], out)
+    def points(self, rows: int, out: Array) -> None:
+        points_of_rows(self.length, self.angle, self.segments, rows, out)
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         for u in range(rows):
@@ -78,8 +79,10 @@ class ExtendedPlants(NamedTuple):
                 LONGEST_STEP_H,
             )
 
-    def copy_row(self, source: int, target: int) -> None:
-        copy_stem(self.length, self.angle, self.segments, self.memory, source, target)
+    def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
+        copy_stems(self.length, self.angle, self.segments, sources, targets, count)
+        for i in range(count):
+            self.memory[targets[i]] = self.memory[sources[i]]
 
 
 def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int) -> ExtendedPlants | None:

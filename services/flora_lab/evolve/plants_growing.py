@@ -11,11 +11,12 @@ import numpy.typing as npt
 from flora_lab.evolve.plants import room
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.drives import DriveNoise, Drives, nutation_size
+from flora_lab.simulator.fast_scratch import row_of
 from flora_lab.simulator.growing import GrowingSimulator, GrowingState
 from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import STEP_S
-from flora_lab.simulator.rod import jit
+from flora_lab.simulator.rod import jit, points_lane
 
 Array = npt.NDArray[Any]
 
@@ -57,10 +58,20 @@ def levels(is_right: bool) -> tuple[float, float]:
 
 
 @jit
-def copy_stem(length: Array, angle: Array, segments: Array, memory: Array, source: int, target: int) -> None:
-    """See :meth:`flora_lab.evolve.plants.Plants.copy_row`."""
-    length[target], angle[target] = length[source], angle[source]
-    segments[target], memory[target] = segments[source], memory[source]
+def points_of_rows(length: Array, angle: Array, segments: Array, rows: int, out: Array) -> None:
+    """See :meth:`flora_lab.evolve.plants.Plants.points`."""
+    for u in range(rows):
+        points_lane(row_of(length, u), row_of(angle, u), segments[u], row_of(out, u))
+
+
+@jit
+def copy_stems(length: Array, angle: Array, segments: Array, sources: Array, targets: Array, count: int) -> None:
+    """See :meth:`flora_lab.evolve.plants.Plants.copy_rows`."""
+    for i in range(count):
+        source, target = sources[i], targets[i]
+        n = segments[target] = segments[source]
+        for j in range(n):
+            length[target, j], angle[target, j] = length[source, j], angle[source, j]
 
 
 def rooms(stems: Stems, rows: int) -> tuple[Array, Array, Array, Array]:

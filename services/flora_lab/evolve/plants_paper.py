@@ -50,6 +50,14 @@ def _stem_points(stem: Array, row: int, unit_cm: float, out: Array) -> None:
         out[1 + j // 2, j % 2] = np.float64(stem[tile, j * LANES + lane]) * unit_cm
 
 
+@jit
+def _copy_lane(tiles_of: Array, rows: int, source: int, target: int) -> None:
+    """Make the first rows of one plant's lane those of another's."""
+    old, lane_old, new, lane_new = source // LANES, source % LANES, target // LANES, target % LANES
+    for j in range(rows):
+        tiles_of[new, j * LANES + lane_new] = tiles_of[old, j * LANES + lane_old]
+
+
 @jit_methods
 class StatelessPlants(NamedTuple):
     """See :class:`flora_lab.evolve.plants.Plants`.
@@ -73,8 +81,9 @@ class StatelessPlants(NamedTuple):
     gates: Array
     hidden: Array
 
-    def points(self, row: int, out: Array) -> None:
-        _stem_points(self.stem, row, self.unit_cm, out)
+    def points(self, rows: int, out: Array) -> None:
+        for row in range(rows):
+            _stem_points(self.stem, row, self.unit_cm, out[row])
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         for tile in range((rows + LANES - 1) // LANES):
@@ -89,10 +98,9 @@ class StatelessPlants(NamedTuple):
                 fill(COORDINATES, self.b_out, stem)
                 add_product(self.w_out, 0, INPUT_ROWS, CELLS, self.hidden, stem)
 
-    def copy_row(self, source: int, target: int) -> None:
-        for j in range(INPUT_ROWS):
-            value = self.stem[source // LANES, j * LANES + source % LANES]
-            self.stem[target // LANES, j * LANES + target % LANES] = value
+    def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
+        for i in range(count):
+            _copy_lane(self.stem, INPUT_ROWS, sources[i], targets[i])
 
 
 @jit_methods
@@ -124,8 +132,9 @@ class StatefulPlants(NamedTuple):
     gates: Array
     after: Array
 
-    def points(self, row: int, out: Array) -> None:
-        _stem_points(self.stem, row, self.unit_cm, out)
+    def points(self, rows: int, out: Array) -> None:
+        for row in range(rows):
+            _stem_points(self.stem, row, self.unit_cm, out[row])
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
         chunk = 4 * _CELLS_AT_ONCE
@@ -144,13 +153,11 @@ class StatefulPlants(NamedTuple):
                 fill(COORDINATES, self.b_out, stem)
                 add_product(self.w_out, 0, INPUT_ROWS, CELLS, hidden, stem)
 
-    def copy_row(self, source: int, target: int) -> None:
-        old, lane_old, new, lane_new = source // LANES, source % LANES, target // LANES, target % LANES
-        for j in range(COORDINATES):
-            self.stem[new, j * LANES + lane_new] = self.stem[old, j * LANES + lane_old]
-        for j in range(CELLS):
-            self.hidden[new, j * LANES + lane_new] = self.hidden[old, j * LANES + lane_old]
-            self.cell[new, j * LANES + lane_new] = self.cell[old, j * LANES + lane_old]
+    def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
+        for i in range(count):
+            _copy_lane(self.stem, COORDINATES, sources[i], targets[i])
+            _copy_lane(self.hidden, CELLS, sources[i], targets[i])
+            _copy_lane(self.cell, CELLS, sources[i], targets[i])
 
 
 def plants_of(

@@ -10,18 +10,20 @@ import numpy.typing as npt
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.plants_growing import (
     DriveCourse,
-    copy_stem,
+    copy_stems,
     drive_course,
     driven,
     first_state,
     levels,
+    points_of_rows,
     rooms,
 )
 from flora_lab.evolve.task import Task
 from flora_lab.simulator import tropism
+from flora_lab.simulator.fast_scratch import row_of
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.rod import LONGEST_STEP_H, length_of, points_lane
+from flora_lab.simulator.rod import LONGEST_STEP_H, length_of
 
 Array = npt.NDArray[Any]
 
@@ -47,21 +49,22 @@ class TropismPlants(NamedTuple):
     lamps_cm: Array
     course: DriveCourse
 
-    def points(self, row: int, out: Array) -> None:
-        points_lane(self.length[row], self.angle[row], self.segments[row], out)
+    def points(self, rows: int, out: Array) -> None:
+        points_of_rows(self.length, self.angle, self.segments, rows, out)
 
     def advance(self, rows: int, is_right: Array, step: int) -> None:
+        segments, constants, lamps_cm = self.segments, self.constants, self.lamps_cm
         for u in range(rows):
-            length, n = self.length[u], self.segments[u]
+            length, n = row_of(self.length, u), segments[u]
             left, right = levels(is_right[u])
             bias, growth = driven(self.course, step, length_of(length, n))
-            self.segments[u] = _step(
+            segments[u] = _step(
                 length,
-                self.angle[u],
+                row_of(self.angle, u),
                 n,
-                self.seen[u],
-                self.constants,
-                self.lamps_cm,
+                row_of(self.seen, u),
+                constants,
+                lamps_cm,
                 left,
                 right,
                 bias,
@@ -69,8 +72,10 @@ class TropismPlants(NamedTuple):
                 LONGEST_STEP_H,
             )
 
-    def copy_row(self, source: int, target: int) -> None:
-        copy_stem(self.length, self.angle, self.segments, self.seen, source, target)
+    def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
+        copy_stems(self.length, self.angle, self.segments, sources, targets, count)
+        for i in range(count):
+            self.seen[targets[i]] = self.seen[sources[i]]
 
 
 def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int) -> TropismPlants | None:

@@ -58,7 +58,7 @@ class _Views(NamedTuple):
         is_watched: by row: in which scenarios an episode goes on there; shape (rows, scenarios).
         is_looked_at, is_right: by row: whether one goes on at all, and which lamp it switches on.
         sibling: by row: the row of those who switched on the other lamp, or none.
-        parent: by row of a sibling: from which it parted.
+        source, target: rows that plants are copied from and to.
     """
 
     going: Array
@@ -69,7 +69,8 @@ class _Views(NamedTuple):
     is_looked_at: Array
     is_right: Array
     sibling: Array
-    parent: Array
+    source: Array
+    target: Array
 
 
 @jit
@@ -96,21 +97,19 @@ def run_shared(
     used = 1
     if not share:
         used = rows
-        for row in range(1, rows):
-            plants.copy_row(0, row)
+        views.source[:] = 0
+        plants.copy_rows(views.source, np.arange(1, rows + 1), rows - 1)
     simulated = 0
     for k in range(most + 1):
-        for row in range(used):
-            plants.points(row, looks.points_cm[row])
+        plants.points(used, looks.points_cm)
         look(looks, used, views.is_watched, scenarios, k >= most)
         going = _end_episodes(scenarios, episodes, looks, views, going, k)
         if going == 0:
             break
         decide(networks, views.going, going, views.plant, looks.scaled, scenarios.told, slots, views.decision)
         total = _part_plants(scenarios, episodes, looks, views, going, used, k)
-        for row in range(used, total):
-            plants.copy_row(views.parent[row], row)
-        used = 0
+        plants.copy_rows(views.source, views.target, total - used)
+        used = moves = 0
         for row in range(total):
             views.moved[row] = row
         while used < total:
@@ -120,10 +119,12 @@ def run_shared(
                     total -= 1
                 if total == used:
                     break
-                plants.copy_row(total, used)
+                views.source[moves], views.target[moves] = total, used
+                moves += 1
                 views.is_right[used], views.is_watched[used] = views.is_right[total], views.is_watched[total]
                 views.moved[total] = used
             used += 1
+        plants.copy_rows(views.source, views.target, moves)
         plants.advance(used, views.is_right, k)
         simulated += used
     return simulated
@@ -149,10 +150,13 @@ def _views(episodes: Episodes, share: bool) -> _Views:
         for s in range(scenarios):
             is_watched[plant[g, s], s] = True
     is_looked_at, is_right = np.empty(rows, dtype=np.bool_), np.empty(rows, dtype=np.bool_)
-    sibling, parent = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
-    return _Views(
-        np.arange(networks), plant, decision, np.arange(rows), is_watched, is_looked_at, is_right, sibling, parent
+    sibling, source, target = (
+        np.empty(rows, dtype=np.int64),
+        np.empty(rows, dtype=np.int64),
+        np.empty(rows, dtype=np.int64),
     )
+    going, moved = np.arange(networks), np.arange(rows)
+    return _Views(going, plant, decision, moved, is_watched, is_looked_at, is_right, sibling, source, target)
 
 
 @jit
@@ -207,7 +211,8 @@ def _part_plants(
                 views.is_looked_at[row], views.is_right[row] = True, is_right
             elif views.is_right[row] != is_right:
                 if views.sibling[row] == _NONE:
-                    views.sibling[row], views.parent[total] = total, row
+                    views.sibling[row] = total
+                    views.source[total - used], views.target[total - used] = row, total
                     views.is_looked_at[total], views.is_right[total] = True, is_right
                     for other in range(plant.shape[1]):
                         views.is_watched[total, other] = False

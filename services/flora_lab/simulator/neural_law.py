@@ -33,6 +33,7 @@ from flora_lab.simulator.rod import (
     in_lanes,
     jit,
     lateness,
+    length_of,
     points_lane,
     split,
     whole_registers,
@@ -118,9 +119,55 @@ def _bend(
 
 
 @inlined
-def _softplus(x: float) -> float:
+def softplus(x: float) -> float:
     """log(1 + exp(x))."""
     return float(max(x, 0.0) + fast_log1p(fast_exp(-abs(x))))
+
+
+@inlined
+def sense(length: Array, angle: Array, n: int, told: Array) -> float:
+    """Write what a network is told of a stem: angles at the nodes, and its length; returns that length, cm."""
+    total = length_of(length, n)
+    _look(length, angle, n, total, told)
+    return total
+
+
+@inlined
+def respond(
+    length: Array,
+    angle: Array,
+    n: int,
+    traits: Array,
+    rates: Array,
+    grown: float,
+    members: int,
+    zone_cm: float,
+    bias: float,
+    growth: float,
+) -> int:
+    """Bend and grow as the members say; returns the number of segments.
+
+    Args:
+        length, angle: of the stem's segments, changed.
+        n: how many are in use.
+        traits: of the plant.
+        rates: sums over the members at the nodes, and behind them a zero; changed.
+        grown: sum over the members.
+        members: how many.
+        zone_cm: that elongates.
+        bias, growth: see :meth:`flora_lab.simulator.law.Law.advance`.
+    """
+    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    speed, lean = fast_exp(TRAIT_SHARE * traits[2]), fast_exp(TRAIT_SHARE * traits[3])
+    total = along(length, n, arc, reach)
+    for i in range(_COUNT):
+        rates[i] *= speed * lean / members
+    late = lateness(total)
+    vigour = fast_exp(TRAIT_SHARE * (traits[0] * (1.0 - late) + traits[1] * late))
+    grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth) / members
+    _bend(angle, n, arc, reach, total, rates, bias, STEP_H)
+    elongate(length, n, arc, total, zone_cm, grown)
+    return int(split(length, angle, n))
 
 
 @jit
@@ -143,12 +190,10 @@ def step_lane(
 ) -> int:
     """One step of five minutes of one plant, in place; returns its number of segments."""
     members = w_ih.shape[0]
-    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     told, rates = scratch(np.float64, INPUTS), scratch(np.float64, INPUTS)
     inputs, said = scratch(np.float32, INPUTS), scratch(np.float32, OUTPUTS)
-    speed, lean = fast_exp(TRAIT_SHARE * traits[2]), fast_exp(TRAIT_SHARE * traits[3])
-    total = along(length, n, arc, reach)
-    _look(length, angle, n, total, told)
+    lean = fast_exp(TRAIT_SHARE * traits[3])
+    sense(length, angle, n, told)
     for i in range(_COUNT):
         inputs[i] = told[i] / lean
     inputs[_COUNT] = told[_COUNT]
@@ -160,15 +205,8 @@ def step_lane(
         lstm_step(inputs, memory[m], w_ih[m], w_hh[m], b[m], w_out[m], b_out[m], said)
         for i in range(_COUNT):
             rates[i] += said[i]
-        grown += _softplus(said[_COUNT] + GROWTH_OFFSET)
-    for i in range(_COUNT):
-        rates[i] *= speed * lean / members
-    late = lateness(total)
-    vigour = fast_exp(TRAIT_SHARE * (traits[0] * (1.0 - late) + traits[1] * late))
-    grown *= vigour * GROWTH_CM_PER_H * STEP_H * max(0.0, growth) / members
-    _bend(angle, n, arc, reach, total, rates, bias, STEP_H)
-    elongate(length, n, arc, total, zone_cm, grown)
-    return int(split(length, angle, n))
+        grown += softplus(said[_COUNT] + GROWTH_OFFSET)
+    return respond(length, angle, n, traits, rates, grown, members, zone_cm, bias, growth)
 
 
 def _lanes(
