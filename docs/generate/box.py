@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Final
 
-from drawing import INK, measure, note, plain
+from drawing import INK, draw, measure, note, plain
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from flora_common.files import write_bytes
-from flora_lab.figure_style import BLUE, GREY, ORANGE, new_figure, png
+from flora_lab.figure_style import BLUE, GREY, ORANGE, new_figure
 from flora_twin.box import BOX, CAMERA
 
 FILE: Final = Path(__file__).parents[1] / "images" / "box.png"
@@ -122,8 +120,4 @@ def picture() -> Figure:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Draw the box.")
-    parser.add_argument("file", type=Path, nargs="?", default=FILE)
-    file: Path = parser.parse_args().file
-    write_bytes(file, png(picture()))
-    print(f"wrote {file}")
+    draw("Draw the box.", FILE, picture)

@@ -1,15 +1,18 @@
-"""What both drawings of this folder are made with: a sheet without axes, boxes with names, and lines with arrows."""
+"""What both drawings of this folder are made with: sheets without axes, boxes with names, lines with arrows, files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from flora_lab.figure_style import new_figure
+from flora_common.files import write_bytes
+from flora_lab.figure_style import new_figure, png
 
 INK: Final = "#222222"
 GREY: Final = "#7a7a7a"
@@ -69,3 +72,12 @@ def measure(ax: Axes, start: Point, end: Point, text: str, *, above: Point) -> N
     ax.annotate("", end, start, arrowprops=arrow, zorder=6)
     middle = ((start[0] + end[0]) / 2 + above[0], (start[1] + end[1]) / 2 + above[1])
     ax.text(*middle, text, fontsize=SMALL_PT, color=INK, ha="center", va="center", zorder=6)
+
+
+def draw(what: str, file: Path, picture: Callable[[], Figure]) -> None:
+    """Write a picture where the command line says, or to its usual file."""
+    parser = argparse.ArgumentParser(description=what)
+    parser.add_argument("file", type=Path, nargs="?", default=file)
+    chosen: Path = parser.parse_args().file
+    write_bytes(chosen, png(picture()))
+    print(f"wrote {chosen}")

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Final
 
-from drawing import GREY, block, dot, note, sheet, wire
+from drawing import GREY, block, dot, draw, note, sheet, wire
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flora_common.files import write_bytes
 from flora_flash.handshake import FlashSection
-from flora_lab.figure_style import png
 from flora_led.core import PIXELS, PIXELS_PER_STRIP
 from flora_led.service import LedSection
 
@@ -152,8 +149,4 @@ def _legend(ax: Axes) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Draw the wiring.")
-    parser.add_argument("file", type=Path, nargs="?", default=FILE)
-    file: Path = parser.parse_args().file
-    write_bytes(file, png(picture()))
-    print(f"wrote {file}")
+    draw("Draw the wiring.", FILE, picture)

@@ -342,7 +342,7 @@ def test_who_stops_it_keeps_what_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], behaviour: str
 ) -> None:
     program, out = twin(tmp_path, monkeypatch, {"20002": behaviour}), tmp_path / "out"
-    arguments = ["evaluate", str(TIP_ONLY), "--on", "twin", "-o", str(out)]
+    arguments = ["evaluate", str(TIP_ONLY), "--on", "twin", "-o", str(out), "--jobs", "1"]
     if behaviour == "SIGINT":
         assert main(arguments) == 130
         assert "flora-lab: interrupted" in capsys.readouterr().err
@@ -351,13 +351,31 @@ def test_who_stops_it_keeps_what_is_finished(
             main(arguments)
         assert ended.value.code == 128 + 15
     # the run was told to end, and had the time for it
-    assert (program.parent / twin_fakes.ENDED).read_text() == "20002"
+    assert (program.parent / twin_fakes.ENDED).read_text() == "20002\n"
     assert [run.name[-5:] for run in (out / "runs").iterdir() if run.suffix != ".unfinished"] == ["20001"]
     assert not (out / "evaluation.json").exists()
 
     (program.parent / twin_fakes.PLAN).write_text("{}")
     assert len(told(capsys, TIP_ONLY, "--on", "twin", "-o", out)["trials"]) == 3
     assert len(twin_fakes.calls(program)) == 4
+
+
+@pytest.mark.parametrize("jobs", [(), ("--jobs", "2")])
+def test_runs_go_on_at_the_same_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: tuple[str, ...]
+) -> None:
+    twin(tmp_path, monkeypatch, {"20001": "meet 20002", "20002": "meet 20001"})
+    numbers = told(capsys, TIP_ONLY, "--on", "twin", "-o", tmp_path / "out", *jobs)
+    assert [trial["seed"] for trial in numbers["trials"]] == [20001, 20002, 20003]
+    assert numbers["failed"] == {}
+
+
+def test_who_stops_several_at_a_time_stops_them_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = twin(tmp_path, monkeypatch, {"20001": "hang", "20002": "hang", "20003": "SIGTERM"})
+    with pytest.raises(SystemExit):
+        main(["evaluate", str(TIP_ONLY), "--on", "twin", "-o", str(tmp_path / "out"), "--jobs", "3"])
+    ended = (program.parent / twin_fakes.ENDED).read_text().splitlines()
+    assert sorted(ended) == ["20001", "20002", "20003"]
 
 
 def test_two_do_not_work_in_one_folder(

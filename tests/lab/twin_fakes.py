@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -29,10 +30,12 @@ RUN = "rig/runs/bean"
 CALLS = "calls.jsonl"
 """Beside the program: one line for each time that it was started."""
 PLAN = "plan.json"
-"""Beside the program: how to behave, by seed: ``fail``, ``refuse``, ``other seed``, ``silent``, ``nothing``, or a
-signal that it sends to whoever started it, before it waits for its own end."""
+"""Beside the program: how to behave, by seed: ``fail``, ``refuse``, ``other seed``, ``silent``, ``nothing``, ``hang``
+until told to end, ``meet N`` if the run of seed N is there at the same time, else fail, or a signal that it sends to
+whoever started it, when those that hang do so, before it waits for its own end."""
 ENDED = "ended"
-"""Beside the program: the seed of a run that was told to end."""
+"""Beside the program: a line with the seed of each run that was told to end."""
+MEETS_WITHIN_S = 30.0
 TIPS = ((0.0, 7.0), (2.0, 13.0), (-1.0, 17.0), (-4.0, 17.5), (-6.0, 21.5))
 
 
@@ -62,7 +65,8 @@ def main(argv: list[str]) -> int:
     append_line(folder / CALLS, json.dumps(argv[1:]))
     given = dict(argument[2:].split("=", 1) for argument in argv[2:] if "=" in argument)
     seed = int(given["seed"])
-    behaviour = json.loads((folder / PLAN).read_text()).get(str(seed), "")
+    plan = json.loads((folder / PLAN).read_text())
+    behaviour = plan.get(str(seed), "")
     output = Path(given["output"])
     write_text(output / "rig" / "logs" / "flora-stem.log", "what the service said\n")
     if behaviour == "fail":
@@ -73,21 +77,35 @@ def main(argv: list[str]) -> int:
         return 2
     if behaviour == "silent":
         return 1
-    if behaviour.startswith("SIG"):
-        _wait_for_the_end(folder / ENDED, seed, signal.Signals[behaviour])
+    if behaviour.startswith("meet"):
+        write_text(folder / f"here-{seed}", "")
+        if not _is_there(folder / f"here-{behaviour.split()[1]}"):
+            return 1
+    if behaviour == "hang" or behaviour.startswith("SIG"):
+        others = [folder / f"here-{other}" for other, how in plan.items() if how == "hang"]
+        _wait_for_the_end(folder, seed, None if behaviour == "hang" else signal.Signals[behaviour], others)
     if behaviour == "nothing":
         return 0
     _write(output, given, seed + 1 if behaviour == "other seed" else seed)
     return 0
 
 
-def _wait_for_the_end(ended: Path, seed: int, number: signal.Signals) -> None:
+def _is_there(file: Path) -> bool:
+    end_s = time.monotonic() + MEETS_WITHIN_S
+    while not file.exists() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    return file.exists()
+
+
+def _wait_for_the_end(folder: Path, seed: int, number: signal.Signals | None, others: list[Path]) -> None:
     def end(_number: int, _frame: object) -> None:
-        ended.write_text(str(seed))
+        append_line(folder / ENDED, str(seed))
         sys.exit(1)
 
     signal.signal(signal.SIGTERM, end)
-    os.kill(os.getppid(), number)
+    write_text(folder / f"here-{seed}", "")
+    if number is not None and all(_is_there(other) for other in others):
+        os.kill(os.getppid(), number)
     while True:
         signal.pause()
 

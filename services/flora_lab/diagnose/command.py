@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +12,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.late import modules_of
 from flora_lab.made_folders import must_be_new
+
+_module = modules_of("flora_lab.diagnose")
 
 
 def register(app: typer.Typer) -> None:
@@ -72,13 +74,8 @@ def diagnose(
         typer.echo(f"wrote {output}")
 
 
-def _module(name: str) -> Any:
-    """A module of this package; they import numba, scipy and matplotlib, which others need not wait for."""
-    return importlib.import_module(f"flora_lab.diagnose.{name}")
-
-
 def _task(text: str) -> Any:
-    return importlib.import_module("flora_lab.evolve.task_file").task_named(text, "--controllers")
+    return modules_of("flora_lab.evolve")("task_file").task_named(text, "--controllers")
 
 
 @contextlib.contextmanager

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput, FloraError
+from flora_lab.late import modules_of
 from flora_lab.stopped_work import sigterm_ends
 
 TWIN: Final = "twin"
@@ -28,6 +28,9 @@ MOST_PLANTS: Final = 1000
 
 class RunsFailed(FloraError):
     """Some runs on the virtual rig did not come to their end; all others are told and kept."""
+
+
+_module = modules_of("flora_lab.evaluate")
 
 
 def register(app: typer.Typer) -> None:
@@ -50,6 +53,15 @@ def evaluate(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for figures, page and runs; finished runs in it stay.")
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=100,
+            help="Runs on the virtual rig at a time.  [default: one per core, and one more]",
+            show_default=False,
+        ),
+    ] = None,
     keep_photographs: Annotated[
         bool, typer.Option("--keep-photographs", help="In the run folders of virtual plants, some 130 MB each.")
     ] = False,
@@ -59,11 +71,12 @@ def evaluate(
     """Try controllers in simulators, and on virtual plants that they never met; tell the reality gap.
 
     `--on twin` sends each controller through the whole rig: photographs, vision, network and lamps. A run of 72 hours
-    takes some 90 seconds. Stopped with Ctrl-C, the same command with the same -o goes on.
+    takes some 90 seconds of processor time; several go on side by side. Stopped with Ctrl-C, the same command with the
+    same -o goes on.
     """
     _check_places(on, repeat)
     work, plans, folders = _module("work"), _module("plan"), _module("folder")
-    whole_task = importlib.import_module("flora_lab.evolve.task_file").task_named(task)
+    whole_task = modules_of("flora_lab.evolve")("task_file").task_named(task)
     plan = plans.Plan(plans.load_controllers(controllers), plans.only(whole_task, scenario), repeat, seed)
     if output is not None:
         folders.check_folder(output, plan)
@@ -74,7 +87,9 @@ def evaluate(
     if TWIN in on:
         with sigterm_ends(), work.run_folder(output, plan) as folder:
             say, screen = (_nothing, None) if silent else (_say, sys.stderr if sys.stderr.isatty() else None)
-            evaluation = work.on_twin(evaluation, folder, say=say, screen=screen, keep_photographs=keep_photographs)
+            evaluation = work.on_twin(
+                evaluation, folder, jobs=jobs, say=say, screen=screen, keep_photographs=keep_photographs
+            )
             if output is not None:
                 work.write(output, evaluation)
     elif output is not None:
@@ -87,11 +102,6 @@ def evaluate(
             typer.echo(f"wrote {output}")
     if evaluation.failed:
         raise RunsFailed(work.failure_words(evaluation))
-
-
-def _module(name: str) -> Any:
-    """A module of this package; they import numba, neat-python and matplotlib, which others need not wait for."""
-    return importlib.import_module(f"flora_lab.evaluate.{name}")
 
 
 def _check_places(on: list[str], repeat: int) -> None:

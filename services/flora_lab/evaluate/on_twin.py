@@ -1,4 +1,4 @@
-"""Controllers on virtual plants through the whole rig: `flora-twin experiment` as a process, one run after the other.
+"""Controllers on virtual plants through the whole rig: `flora-twin experiment` as processes, some at a time.
 
 The lab knows the virtual rig by its command and by the file that it writes, as it would know a real one. A run is some
 250 MB, nearly all of it photographs and their copies at the rig's NAS; what stays is a strip of them, unless they are
@@ -22,10 +22,10 @@ from flora_common.installed import command
 from flora_common.runs import ObstacleSection, RunFolder, TargetSection
 from flora_lab.evaluate.folder import RUNS, plain
 from flora_lab.evaluate.plan import NamedController, Plan
+from flora_lab.evaluate.side_by_side import side_by_side
 from flora_lab.evaluate.trial import Trial, measured
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.report import strip, summary
-from flora_lab.stopped_work import waited_for
 
 TWIN_COMMAND: Final = "flora-twin"
 STRIP_FILE: Final = "strip.jpg"
@@ -114,10 +114,16 @@ class TwinResults:
     failed: dict[str, str]
 
 
+def at_once(jobs: int | None, runs: int) -> int:
+    """How many runs at a time: as asked, else one per core and one more, for the services of a rig wait in turn."""
+    return min(jobs or len(os.sched_getaffinity(0)) + 1, max(runs, 1))
+
+
 def run_all(
     runs: Sequence[TwinRun],
     folder: Path,
     *,
+    jobs: int | None = None,
     say: Callable[[str], None],
     screen: TextIO | None = None,
     keep_photographs: bool = False,
@@ -127,32 +133,43 @@ def run_all(
     Args:
         runs: of :func:`twin_runs`.
         folder: of the evaluation.
+        jobs: how many at a time, see :func:`at_once`; changes no result.
         say: is told a line before and after each run.
-        screen: a terminal on which each run shows how far it is; None to show nothing.
+        screen: a terminal on which a run that is alone shows how far it is; None to show nothing.
         keep_photographs: in the run folders.
 
     Raises:
         BadInput: a run folder that is there is of another run.
     """
-    done = {run.name: _read(run, place) for run in runs if (place := folder / RUNS / run.name).exists()}
-    trials: list[Trial] = []
+    trials = {run.name: _read(run, place) for run in runs if (place := folder / RUNS / run.name).exists()}
+    heads = {run.name: f"run {k} of {len(runs)}, {run.words}" for k, run in enumerate(runs, start=1)}
     failed: dict[str, str] = {}
-    for number, run in enumerate(runs, start=1):
-        place, head = folder / RUNS / run.name, f"run {number} of {len(runs)}, {run.words}"
-        if run.name in done:
-            trials.append(done[run.name])
-            say(f"{head}, done before: fitness {100 * trials[-1].fitness:.1f} %")
-            continue
-        say(head)
+    for run in runs:
+        if run.name in trials:
+            say(f"{heads[run.name]}, done before: fitness {100 * trials[run.name].fitness:.1f} %")
+    missing = [run for run in runs if run.name not in trials]
+    count = at_once(jobs, len(missing))
+
+    def start(run: TwinRun) -> subprocess.Popen[str]:
+        say(heads[run.name])
+        return _start(run, folder / RUNS / run.name, screen if count == 1 else None)
+
+    def ended(run: TwinRun, process: subprocess.Popen[str], said: str) -> None:
+        place, head = folder / RUNS / run.name, heads[run.name]
         try:
-            _make(run, place, screen=screen, keep_photographs=keep_photographs)
+            _finish(run, place, process, said, keep_photographs=keep_photographs)
         except RunFailed as problem:
-            failed[run.words] = str(problem)
+            failed[run.name] = str(problem)
             say(f"{head}: failed: {problem}")
-            continue
-        trials.append(_read(run, place))
-        say(f"{head}: fitness {100 * trials[-1].fitness:.1f} %")
-    return TwinResults(trials, failed)
+            return
+        trials[run.name] = _read(run, place)
+        say(f"{head}: fitness {100 * trials[run.name].fitness:.1f} %")
+
+    side_by_side(missing, count, start=start, ended=ended)
+    return TwinResults(
+        [trials[run.name] for run in runs if run.name in trials],
+        {run.words: failed[run.name] for run in runs if run.name in failed},
+    )
 
 
 def _read(run: TwinRun, place: Path) -> Trial:
@@ -161,20 +178,44 @@ def _read(run: TwinRun, place: Path) -> Trial:
     return measured(run.controller.name, run.scenario, place, outcome)
 
 
-def _make(run: TwinRun, place: Path, *, screen: TextIO | None, keep_photographs: bool) -> None:
-    """Do a run under another name, and give it its own when all of it is there.
+def _unfinished(place: Path) -> Path:
+    """Where a run is made; it gets its own name when all of it is there."""
+    return place.with_name(f"{place.name}.unfinished")
 
-    Raises:
-        RunFailed: it did not come to its end; what it left stays under the other name, with the rig's logs.
-    """
-    unfinished = place.with_name(f"{place.name}.unfinished")
+
+def _start(run: TwinRun, place: Path, screen: TextIO | None) -> subprocess.Popen[str]:
+    """Start a run; told to stop, it stops its rig first."""
+    unfinished = _unfinished(place)
     if unfinished.exists():
         shutil.rmtree(unfinished)
     files.make_folder(unfinished)
     # The controller as it was read, whatever has become of its file since.
     steering = unfinished / "asked.controller.json"
     files.write_bytes(steering, run.controller.loaded.data)
-    _run([*run.arguments(unfinished), f"--controller={steering}"], screen)
+    quiet = [] if screen else ["--quiet"]
+    # In a session of its own: Ctrl-C reaches this process alone, which then ends the rig as a whole.
+    return subprocess.Popen(
+        [command(TWIN_COMMAND), *run.arguments(unfinished), f"--controller={steering}", *quiet],
+        stdin=subprocess.DEVNULL,
+        stdout=screen or subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        start_new_session=True,
+    )
+
+
+def _finish(run: TwinRun, place: Path, process: subprocess.Popen[str], said: str, *, keep_photographs: bool) -> None:
+    """Keep what a run that has ended left.
+
+    Raises:
+        RunFailed: it did not come to its end; what it left stays under the other name, with the rig's logs.
+    """
+    if process.returncode != 0:
+        lines = said.strip().splitlines() or [f"{TWIN_COMMAND} ended with status {process.returncode}"]
+        raise RunFailed(lines[-1].removeprefix(f"{TWIN_COMMAND}: "))
+    unfinished = _unfinished(place)
     try:
         outcome = read_experiment(unfinished)
         run.check(outcome, unfinished)
@@ -200,27 +241,3 @@ def _strip(run: RunFolder, stop_height_cm: float) -> bytes:
     end_h = float(judged.track.time_s[judged.stop_row]) / 3600.0
     hours = [end_h * k / STRIP_PANELS for k in range(1, STRIP_PANELS + 1)]
     return strip.encode_jpeg(strip.strip(run, judged, hours))
-
-
-def _run(arguments: Sequence[str], screen: TextIO | None) -> None:
-    """Run the command to its end; one that is told to stop stops its rig first.
-
-    Raises:
-        RunFailed: it ended otherwise than well; its own words.
-    """
-    quiet = [] if screen else ["--quiet"]
-    # In a session of its own: Ctrl-C reaches this process alone, which then ends the rig as a whole.
-    process = subprocess.Popen(
-        [command(TWIN_COMMAND), *arguments, *quiet],
-        stdin=subprocess.DEVNULL,
-        stdout=screen or subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        start_new_session=True,
-    )
-    said = waited_for(process)
-    if process.returncode != 0:
-        lines = said.strip().splitlines() or [f"{TWIN_COMMAND} ended with status {process.returncode}"]
-        raise RunFailed(lines[-1].removeprefix(f"{TWIN_COMMAND}: "))

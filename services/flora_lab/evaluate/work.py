@@ -91,12 +91,14 @@ def on_twin(
     evaluation: Evaluation,
     folder: Path,
     *,
+    jobs: int | None,
     say: Callable[[str], None],
     screen: TextIO | None,
     keep_photographs: bool,
 ) -> Evaluation:
     """Try all controllers on virtual plants too; see :func:`flora_lab.evaluate.on_twin.run_all`."""
-    results = run_all(twin_runs(evaluation.plan), folder, say=say, screen=screen, keep_photographs=keep_photographs)
+    runs = twin_runs(evaluation.plan)
+    results = run_all(runs, folder, jobs=jobs, say=say, screen=screen, keep_photographs=keep_photographs)
     return replace(evaluation, on_twin=True, trials=[*evaluation.trials, *results.trials], failed=results.failed)
 
 

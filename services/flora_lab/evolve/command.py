@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import importlib
 import json
 import os
 import sys
@@ -13,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from flora_common.errors import BadInput
+from flora_lab.late import modules_of
 from flora_lab.stopped_work import sigterm_ends
 
 RUNS, GENERATIONS, POPULATION = 20, 1000, 150
@@ -27,6 +27,9 @@ class JudgeBy(enum.StrEnum):
 
     MEAN = "mean"
     WORST = "worst"
+
+
+_module = modules_of("flora_lab.evolve")
 
 
 def register(app: typer.Typer) -> None:
@@ -85,7 +88,7 @@ def evolve(
         generations=generations,
         seed=seed,
     )
-    illustrate = importlib.import_module("flora_lab.evolve_report.page").write_report if report else None
+    illustrate = modules_of("flora_lab.evolve_report")("page").write_report if report else None
     with _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work) as kept:
         try:
             with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
@@ -120,8 +123,3 @@ def _crew(plan: Any, jobs: int | None, cluster: str | None) -> Any:
         return _module("ray_crew").RayCrew(cluster, crew.SliceWork(plan))
     count = jobs if jobs is not None else len(os.sched_getaffinity(0))
     return crew.LocalCrew(min(count, plan.runs), crew.SliceWork(plan))
-
-
-def _module(name: str) -> Any:
-    """A module of this package; they import numba and neat-python, which other subcommands need not wait for."""
-    return importlib.import_module(f"flora_lab.evolve.{name}")

@@ -34,7 +34,12 @@ def paper(
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of plants, training and evolution.")] = 1,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, help="Processes of evolution.  [default: one per core]", show_default=False),
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Processes of evolution, and rigs at a time.  [default: one per core, and one rig more]",
+            show_default=False,
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Do all steps anew.")] = False,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,

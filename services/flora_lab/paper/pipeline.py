@@ -116,7 +116,6 @@ def _evolution(asked: Asked, side: Side, task: Task, size: Evolving, quiet: tupl
         "--seed": asked.seed,
     }
     numbers = [text for name, value in sizes.items() for text in (name, str(value))]
-    jobs = () if asked.jobs is None else ("--jobs", str(asked.jobs))
     return Step(
         evolution_name(side, task),
         f"evolution for the task {task.name} in the simulator of {SIDE_WORDS[side]}",
@@ -124,8 +123,12 @@ def _evolution(asked: Asked, side: Side, task: Task, size: Evolving, quiet: tupl
         ("evolve", Made(SIMULATORS[side]), "--task", task.name, *numbers),
         goes_on=("--resume",),
         anew=("--force",),
-        others=(*jobs, *quiet),
+        others=(*_jobs(asked), *quiet),
     )
+
+
+def _jobs(asked: Asked) -> tuple[str, ...]:
+    return () if asked.jobs is None else ("--jobs", str(asked.jobs))
 
 
 def _reality(asked: Asked, side: Side, quiet: tuple[str, ...]) -> Step:
@@ -141,7 +144,7 @@ def _reality(asked: Asked, side: Side, quiet: tuple[str, ...]) -> Step:
         f"the best {evolved_for.name} controller of {SIDE_WORDS[side]} on virtual plants, through the whole rig",
         LAB_COMMAND,
         ("evaluate", controller, *places, "--on", TWIN, "--task", named, *plants),
-        others=quiet,
+        others=(*_jobs(asked), *quiet),
         is_whole=False,
     )
 

@@ -115,7 +115,7 @@ class Asked:
     Attributes:
         scale: how much.
         seed: of plants, training and evolution.
-        jobs: processes of evolution; None for one per core. Changes no result.
+        jobs: processes of evolution, and virtual rigs at a time; None for one per core. Changes no result.
     """
 
     scale: Scale

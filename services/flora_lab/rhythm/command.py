@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import enum
-import importlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 
 from flora_common.errors import BadInput
+from flora_lab.late import modules_of
 from flora_lab.made_folders import must_be_new
 
 LONGEST_STEP_S: Final = 86_400.0
@@ -21,6 +21,9 @@ class Along(enum.StrEnum):
 
     X = "x"
     Y = "y"
+
+
+_module = modules_of("flora_lab.rhythm")
 
 
 def register(app: typer.Typer) -> None:
@@ -65,8 +68,3 @@ def rhythm(
         typer.echo(report.text(judged), nl=False)
         if output is not None:
             typer.echo(f"wrote {output}")
-
-
-def _module(name: str) -> Any:
-    """A module of this package; they import numpy and matplotlib, which the other subcommands need not wait for."""
-    return importlib.import_module(f"flora_lab.rhythm.{name}")

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.late import modules_of
 from flora_lab.made_folders import must_be_new
 from flora_lab.run_tracks import load_runs
 
 EVERY_H: Final = 6.0
 """Between starts with a watched past: the paper's lamps switch every six hours."""
 LONGEST_H: Final = 10_000.0
+
+_module = modules_of("flora_lab.rollout")
 
 
 def register(app: typer.Typer) -> None:
@@ -80,11 +82,6 @@ def rollout(
         typer.echo(report.text(summary), nl=False)
         if output is not None:
             typer.echo(f"wrote {output}")
-
-
-def _module(name: str) -> Any:
-    """A module of this package; they import scipy and matplotlib, which the other subcommands need not wait for."""
-    return importlib.import_module(f"flora_lab.rollout.{name}")
 
 
 def _hours_list(text: str) -> list[float]:
