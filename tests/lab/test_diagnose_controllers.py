@@ -297,7 +297,7 @@ def test_the_folder_has_the_picture_where_controllers_were_compared(monkeypatch:
             monkeypatch.setattr(module, name, lambda *_: b"")
     monkeypatch.setattr(figures, "evidence", lambda *_: b"")
     monkeypatch.setattr(folder, "film", lambda *_: b"")
-    explanation = SimpleNamespace(stages=[SimpleNamespace(tried=[])], swing=None)
+    explanation = SimpleNamespace(stages=[SimpleNamespace(tried=[])], swing=None, claim=5.0)
     own = replace(result(EXTENSION), explanation=explanation)
     assert "controllers" not in folder.pictures_of(own)
     gain = msgspec.structs.replace(SHOWN, controller_fitness=filled())

@@ -12,10 +12,21 @@ from flora_lab.diagnose import chance, usual_errors
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
 from flora_lab.diagnose.knowledge import Knowledge, learn_from
+from flora_lab.diagnose.law_forms import FORMS
 from flora_lab.diagnose.scene import Lanes
-from flora_lab.diagnose.usual_errors import UsualErrors, causes, columns, directions, expected_sizes, strength_of
+from flora_lab.diagnose.usual_errors import (
+    UsualErrors,
+    causes,
+    columns,
+    directions,
+    effects,
+    expected_means,
+    expected_sizes,
+    strength_of,
+)
 from flora_lab.effects.catalogue import BY_NAME
-from flora_lab.effects.effect import Change
+from flora_lab.effects.effect import Change, Effect
+from flora_lab.simulator.terms import BRIGHTNESS_MORE
 from flora_lab.threads import one_blas_thread
 
 DRAUGHTS = np.array([0.5, -1.0, 1.0, 2.0, -0.5, -2.0, 1.5, -1.5, 0.0]) * 0.03
@@ -66,20 +77,19 @@ def test_what_plants_differ_in_anyway_is_not_counted_twice() -> None:
     assert (known().errors.whole() >= known().errors.sizes).all()
 
 
-@pytest.mark.parametrize("name", causes())
-def test_a_push_is_the_effect_itself_as_long_as_it_is_small(name: str) -> None:
+@pytest.mark.parametrize("effect", effects(), ids=causes())
+def test_a_push_is_the_effect_itself_as_long_as_it_is_small(effect: Effect) -> None:
     scene = scene_of(1, warm_c=np.linspace(20.0, 26.0, 288))
-    effect = BY_NAME[name]
-    own, kinds = strength_of(effect), directions(scene, TYPICAL, Change())[at(name)]
+    own, kinds = strength_of(effect), directions(scene, TYPICAL, Change())[at(effect.name)]
     values = {p.name: p.value(p.centre) for p in effect.parameters}
     p = effect.parameters[own]
-    size = 0.1 * p.spread * (-1.0 if p.none == p.high else 1.0)
+    size = 0.05 * p.spread * (-1.0 if p.none == p.high else 1.0)
     # The first kind is the first that a search would set out from.
     values |= {q.name: q.starts[0] for q in effect.parameters if q.none is None and q.starts}
     values[p.name] = p.value(p.centre + size)
-    told = scene.simulated(
-        Lanes(np.repeat(TYPICAL[None], 2, axis=0), np.zeros((2, 2)), [change_of({name: values}), Change()])
-    )
+    change = Change()
+    effect.forms[0](change, values)
+    told = scene.simulated(Lanes(np.repeat(TYPICAL[None], 2, axis=0), np.zeros((2, 2)), [change, Change()]))
     expected = size * np.sqrt(kinds.shape[1]) * kinds[:, 0]
     assert np.abs(expected).max() > 1e-4
     assert np.abs(told[0] - told[1] - expected).max() < 0.15 * np.abs(expected).max()
@@ -120,6 +130,31 @@ def test_what_all_healthy_runs_show_is_no_news() -> None:
         usual = learn_from([scene_of(seed, change=change_of(push)) for seed in REFERENCE])
     assert evidence_for("draught", (30, 31, 32), usual, push["draught"]) < 3.0
     assert evidence_for("draught", (30, 31, 32), usual, {"drive_per_cm_h": -0.12}) > 6.0
+
+
+def test_the_form_of_the_law_is_learned_from_healthy_runs() -> None:
+    """Their light pulls more steeply than the law says; that is told, once for all plants, and is no effect."""
+    steeper = Change()
+    steeper.terms[BRIGHTNESS_MORE] = 0.4
+    with one_blas_thread():
+        usual = learn_from([scene_of(seed, change=steeper) for seed in REFERENCE])
+    form = sum(columns()[: at("brightness_more")])
+    assert abs(known().errors.mean[form]) < 0.12
+    assert 0.2 < usual.errors.mean[form] < 0.6
+    assert usual.errors.sizes[at("brightness_more")] < 0.1
+
+
+def test_forms_of_the_law_may_be_others_in_all_plants_and_differ_little_between_them() -> None:
+    wide = expected_means() / expected_sizes()
+    assert {name: round(float(ratio), 6) for name, ratio in zip(causes(), wide, strict=True) if ratio != 1.0} == {
+        form.name: 5.0 for form in FORMS
+    }
+
+
+def test_how_much_worse_the_law_is_than_expected() -> None:
+    assert errors_of(expected_sizes()).beyond_expected == 0.0
+    assert errors_of(2.0 * expected_sizes()).beyond_expected == pytest.approx(np.log(2.0))
+    assert known().errors.beyond_expected < draughty().errors.beyond_expected
 
 
 def test_fewer_healthy_runs_tell_less_of_it() -> None:

@@ -20,10 +20,12 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 6.0
+CLAIM: Final = 5.0
 """Nats of evidence that a cause needs beyond none."""
-MORE: Final = 7.0
-"""Nats that each further cause needs."""
+MORE: Final = 2.0
+"""Nats that each further cause needs beyond that."""
+_DOUBT: Final = 8.0
+"""Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 _RESTARTS: Final = 2
@@ -79,6 +81,7 @@ class Explanation:
         stages: how it was come to.
         accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
+        claim: nats that a first cause had to have.
     """
 
     null: Found
@@ -87,6 +90,7 @@ class Explanation:
     stages: tuple[Stage, ...]
     accepted: tuple[Accepted, ...]
     joint: Joint
+    claim: float = CLAIM
 
 
 class Explainer:
@@ -101,6 +105,7 @@ class Explainer:
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
         self.known = known
+        self.claim = CLAIM + _DOUBT * max(0.0, known.errors.beyond_expected)
         self._on_step = on_step
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
@@ -127,7 +132,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < (MORE if accepted else CLAIM) or len(accepted) == MOST_CAUSES:
+            if best.gain < self.claim + (MORE if accepted else 0.0) or len(accepted) == MOST_CAUSES:
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -140,14 +145,14 @@ class Explainer:
                 self._answer(found)
                 joint = self._joint(swing)
                 found = joint.fit(_started(found), 12)
-        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint)
+        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim)
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= MORE:
+            if found.evidence - less.evidence >= self.claim + MORE:
                 continue
             found = less
             accepted.remove(earlier)

@@ -18,7 +18,6 @@ import msgspec
 
 from flora_common import files
 from flora_lab.diagnose import corrected, figures, figures_of_controllers, figures_of_runs, stored_base
-from flora_lab.diagnose.explain import CLAIM
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page
 from flora_lab.diagnose.schedules import CHOICE, write_experiment
@@ -94,7 +93,7 @@ def pictures_of(result: Result) -> dict[str, bytes]:
         "phase": figures.by_phase(tables, extended),
         "stem": figures.along_stem(tables, extended),
         "spectrum": figures.spectra(tables, explanation.swing),
-        "evidence": figures.evidence([(t.effect.name, t.gain) for t in first.tried], chosen, CLAIM),
+        "evidence": figures.evidence([(t.effect.name, t.gain) for t in first.tried], chosen, result.explanation.claim),
         "film": film(tables, extended),
     }
     if gain.free_running:

@@ -172,7 +172,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (11,)."""
+        """The simulator's own terms with what is changed besides, shape (16,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]

@@ -92,6 +92,7 @@ def write_known(
         BadInput: something is there already.
     """
     base = known.base
+    told = {"runs": base.runs, "swing_follows": known.swings.follows, "causes": list(usual_errors.causes())}
     arrays = {
         "spread": base.spread,
         "doubt": base.doubt,
@@ -113,8 +114,7 @@ def write_known(
         kind=simulator.kind,
         step_s=simulator.step_s,
         weights=simulator.weights() | {_PREFIX + name: np.asarray(a, dtype=np.float64) for name, a in arrays.items()},
-        scales=simulator.scales()
-        | {"diagnose": {"runs": base.runs, "swing_follows": known.swings.follows, "causes": usual_errors.causes()}},
+        scales=simulator.scales() | {"diagnose": told},
         provenance=provenance,
         extensions=(*simulator.extensions, *extensions),
         force=force,
@@ -135,7 +135,7 @@ def read_known(stored: Stored) -> Knowledge:
     where = str(stored.path)
     values = {name: stored.weight(_PREFIX + name, shape).astype(np.float64) for name, shape in _SHAPES.items()}
     told = stored.info.scales["diagnose"]
-    if not isinstance(told, dict) or told.get("causes") != usual_errors.causes():
+    if not isinstance(told, dict) or told.get("causes") != list(usual_errors.causes()):
         raise BadInput(f"{where}: was made by a version that knows other effects; learn it anew with --reference")
     runs, follows = told.get("runs"), told.get("swing_follows")
     if not isinstance(runs, int) or not isinstance(follows, int | float) or runs < 1 or not 0.0 <= follows <= 1.0:

@@ -5,6 +5,8 @@ That is a part of what happens by chance: beside what :mod:`flora_lab.diagnose.c
 every effect of the catalogue, by as much on the mean and scattered by as much as makes the reference runs most
 probable. All of it is found together, so that what two effects explain alike is counted once. An effect in other runs
 is news only beyond that. Kennedy and O'Hagan 2001 call it the discrepancy.
+
+So are forms of the law that are the plants' rather than its own (:mod:`flora_lab.diagnose.law_forms`).
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ import scipy.optimize
 
 from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
 from flora_lab.diagnose.joint import START_SD, Base, Found, Ready
+from flora_lab.diagnose.law_forms import FORMS
 from flora_lab.diagnose.scene import Lanes, Scene
-from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
@@ -34,9 +37,10 @@ EXPECTED_SHARE: Final = 0.05
 _EXPECTED: Final[dict[str, float]] = {"camera_scale": 0.05, "camera_roll": 0.8, "camera_drift": 0.8}
 """Coordinates. A law's own lengths, by which alone the scale of a picture can be told, are good to some per cent. Stems
 twist and lean out of the picture plane, which no law of the plane knows."""
-_AT_LEAST: Final = frozenset(_EXPECTED)
-"""Of these reference runs cannot tell that the law is better than is expected: in the light that they all were in, the
-typical plant makes up for it, and in other light it does not."""
+_FORMS_DIFFER: Final = 0.1
+_FORMS_ARE: Final = 0.5
+"""The same for forms of the law: by how much they differ between plants, and, since nobody knows them before, how far
+they may be from it in all plants."""
 _DOUBT: Final = 1.0
 """Standard deviation of the logarithm of that."""
 _LEAST, _MOST = 0.05, 60.0
@@ -62,21 +66,36 @@ def strength_of(effect: Effect) -> int:
     return next(i for i, p in enumerate(effect.parameters) if p.none is not None)
 
 
-def causes() -> list[str]:
-    """The effects along which runs are pushed."""
-    return [effect.name for effect in CATALOGUE if effect.name not in _LEFT_OUT]
+@functools.cache
+def effects() -> tuple[Effect, ...]:
+    """Along which runs are pushed."""
+    return (*(effect for effect in CATALOGUE if effect.name not in _LEFT_OUT), *FORMS)
+
+
+@functools.cache
+def causes() -> tuple[str, ...]:
+    """Their names."""
+    return tuple(effect.name for effect in effects())
 
 
 @functools.cache
 def columns() -> tuple[int, ...]:
     """How many kinds there are of each cause."""
-    return tuple(len(_kinds(BY_NAME[name], strength_of(BY_NAME[name]))) for name in causes())
+    return tuple(len(_kinds(effect, strength_of(effect))) for effect in effects())
 
 
 def expected_sizes() -> Array:
-    """Of all causes before any data, shape (causes,)."""
-    usual = {n: EXPECTED_SHARE * BY_NAME[n].parameters[strength_of(BY_NAME[n])].spread for n in causes()}
-    return np.array(list((usual | _EXPECTED).values()))
+    """Of all before any data, shape (causes,)."""
+    spreads = {effect.name: effect.parameters[strength_of(effect)].spread for effect in effects()}
+    shares = {name: EXPECTED_SHARE * spread for name, spread in spreads.items()}
+    forms = {form.name: _FORMS_DIFFER * spreads[form.name] for form in FORMS}
+    return np.array(list((shares | _EXPECTED | forms).values()))
+
+
+def expected_means() -> Array:
+    """Size of the mean over all plants that is expected before any data, shape (causes,)."""
+    wider = [_FORMS_ARE / _FORMS_DIFFER if effect in FORMS else 1.0 for effect in effects()]
+    return np.asarray(expected_sizes() * wider)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +117,11 @@ class UsualErrors:
         """How far a run is pushed along each effect, of which nothing else is known, root mean square, (causes,)."""
         on_the_mean = [np.mean(own**2) for own in np.split(self.mean, np.cumsum(columns())[:-1])]
         return np.asarray(np.sqrt(self.sizes**2 * (1.0 + 1.0 / self.runs) + np.array(on_the_mean)))
+
+    @property
+    def beyond_expected(self) -> float:
+        """By how much more the law is wrong than was expected: mean logarithm of its errors' sizes over those."""
+        return float(np.mean(np.log(self.sizes / expected_sizes())))
 
     def of_run(self, scene: Scene, traits: Array, change: Change) -> tuple[Array, Array]:
         """What they are in a run's features: on the mean, shape (m,), and covariance, shape (m, m).
@@ -123,7 +147,7 @@ def directions(scene: Scene, traits: Array, change: Change) -> list[Array]:
         scene, traits, change: see :meth:`UsualErrors.of_run`.
     """
     changes, widths = [], []
-    for effect in (BY_NAME[name] for name in causes()):
+    for effect in effects():
         own = strength_of(effect)
         places = _kinds(effect, own)
         width = STEP_SPREAD * effect.parameters[own].spread
@@ -163,22 +187,22 @@ def usual_errors(runs: Sequence[Ready], fits: Sequence[Found], base: Base) -> Us
         base: that they were fitted with, for single runs.
     """
     told = [_told(own, fit, base) for own, fit in zip(runs, fits, strict=True)]
-    expected = expected_sizes()
+    expected, means = expected_sizes(), expected_means()
 
     def improbability(logs: Array) -> float:
-        return 0.5 * float(logs @ logs) / _DOUBT**2 + _of_sizes(told, expected * np.exp(logs), expected)[0]
+        return 0.5 * float(logs @ logs) / _DOUBT**2 + _of_sizes(told, expected * np.exp(logs), means)[0]
 
-    bounds = [(0.0 if name in _AT_LEAST else float(np.log(_LEAST)), float(np.log(_MOST))) for name in causes()]
+    bounds = [(float(np.log(_LEAST)), float(np.log(_MOST)))] * len(expected)
     found = scipy.optimize.minimize(improbability, np.zeros(len(expected)), method="L-BFGS-B", bounds=bounds)
     sizes = expected * np.exp(found.x)
-    return UsualErrors(sizes, _of_sizes(told, sizes, expected)[1], len(runs))
+    return UsualErrors(sizes, _of_sizes(told, sizes, means)[1], len(runs))
 
 
-def _of_sizes(told: Sequence[tuple[Array, Array]], sizes: Array, expected: Array) -> tuple[float, Array]:
+def _of_sizes(told: Sequence[tuple[Array, Array]], sizes: Array, means: Array) -> tuple[float, Array]:
     """How improbable runs are if errors scatter so much, and the most probable mean of the errors, shape (columns,)."""
     size = np.repeat(sizes, columns())
-    # Before any data the mean is as wide as what is expected, and as the scatter.
-    before = np.diag(1.0 / (np.repeat(expected, columns()) ** 2 + size**2))
+    # Before any data the mean is as wide as what is expected of it, and as the scatter.
+    before = np.diag(1.0 / (np.repeat(means, columns()) ** 2 + size**2))
     information, pull, total = before.copy(), np.zeros(len(size)), 0.0
     for own, drawn in told:
         whole = np.eye(len(size)) + size[:, None] * own * size[None, :]

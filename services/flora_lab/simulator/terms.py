@@ -12,7 +12,11 @@ step:
 - growth follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after the start, and is
   ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of ``ACTIVITY``: 0 where it
   does not care, 1 where both are one activity, as in Bastien et al. 2015;
-- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once.
+- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once;
+- the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
+  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``;
+- a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
+  not at all up to that of 6.5 cm.
 """
 
 from __future__ import annotations
@@ -29,6 +33,8 @@ from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import (
     CAPACITY,
+    EARLY_CM,
+    LATE_CM,
     LONGEST_STEP_H,
     along,
     directions,
@@ -37,16 +43,25 @@ from flora_lab.simulator.rod import (
     points_lane,
     whole_registers,
 )
-from flora_lab.simulator.tropism import LIGHT_HALF, MATURE, MATURE_EDGE_CM, PROPRIO, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism import (
+    LIGHT_HALF,
+    MATURE,
+    MATURE_EDGE_CM,
+    PROPRIO,
+    Form,
+    TropismLaw,
+    driven_step_lane,
+)
 
 Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
+BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER = range(11, 16)
 """Columns of the terms."""
-TERMS: Final = 11
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-"""Values at which nothing is changed, shape (11,)."""
+TERMS: Final = 16
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 5)])
+"""Values at which nothing is changed, shape (16,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -185,7 +200,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (11,).
+        t: the terms, shape (16,).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
     """
@@ -214,6 +229,7 @@ def extended_step_lane(
         bias + t[PUSH],
         growth * factor,
         activity,
+        Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE]),
         dt_h,
     )
     # A step in which segments were split has no elastic part: joints before and after it are others.
@@ -228,14 +244,18 @@ def extended_step_lane(
 
 
 @jit
-def _told(length: Array, angle: Array, n: int, turn_rad: float, scale: float, out: Array) -> None:
-    """Ten points as a camera shows them that is rolled, and takes a centimetre for ``scale`` of them."""
-    if turn_rad == 0.0 and scale == 1.0:
+def _told(length: Array, angle: Array, n: int, turn_rad: float, scale: float, nearer: float, out: Array) -> None:
+    """Ten points as a camera shows them that is rolled, takes a centimetre for ``scale`` of them, and to which the stem
+    leans."""
+    if turn_rad == 0.0 and scale == 1.0 and nearer == 0.0:
         points_lane(length, angle, n, out)
         return
     shown_length, shown_angle = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    for j in range(CAPACITY):
-        shown_length[j], shown_angle[j] = scale * length[j], angle[j] + turn_rad
+    arc = 0.0
+    for j in range(n):
+        high = max(0.0, (arc + 0.5 * length[j] - EARLY_CM) / (LATE_CM - EARLY_CM))
+        arc += length[j]
+        shown_length[j], shown_angle[j] = scale * length[j] * (1.0 + nearer * high), angle[j] + turn_rad
     points_lane(shown_length, shown_angle, n, out)
 
 
@@ -281,7 +301,7 @@ def _lanes(
                 )
             if (k + 1) % every == 0:
                 row = (k + 1) // every - 1
-                _told(length[b], angle[b], n, turn_rad[row, b], scale[b], out[row, b])
+                _told(length[b], angle[b], n, turn_rad[row, b], scale[b], terms[b, NEARER], out[row, b])
         count[b] = n
 
 
@@ -323,7 +343,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (11,).
+        terms: shape (16,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -380,7 +400,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 11).
+            terms: shape (batch, 16).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """

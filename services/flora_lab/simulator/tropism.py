@@ -16,7 +16,7 @@ the angle from the vertical (positive to the right), kappa the curvature and d t
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
@@ -49,11 +49,36 @@ LIGHT_HALF: Final = 0.02
 _RESPONSE: Final = float(np.log1p(1.0 / LIGHT_HALF))
 _NO_RESPONSE: Final = 1e-5
 _DARK: Final = 1e-9
+_LEAST_STRENGTH: Final = 0.05
+_USUAL_LEAN_2: Final = 0.25
+"""Square of the sine of 30 degrees."""
 _NEAREST_CM: Final = 5.0
 """A lamp gets no brighter when a stem comes nearer than that."""
 
 GROWTH_EARLY, GROWTH_LATE, GROWTH_ZONE, STIFFENING, MATURE, PHOTO, GRAVI, PROPRIO, LATENCY = range(9)
 """Columns of the constants; what they are stands in :mod:`flora_lab.simulator.tropism_traits`."""
+
+
+class Form(NamedTuple):
+    """In what the form of the law may be another; 0 as it is written above.
+
+    Attributes:
+        brightness_more: power of its brightness, about that of one lamp at the anchor, by which the pull of light rises
+            beyond the logarithm; in first order.
+        lean_more: by how much gravity's pull rises beyond the sine: 1 + this times (sin^2 - 1/4), so that both are the
+            same at 30 degrees.
+        edge_more: logarithm of how much wider the edge of mature tissue is.
+        spurt_more: by how much faster the stem grows half way between its early and late length than a straight line
+            between both rates.
+    """
+
+    brightness_more: float
+    lean_more: float
+    edge_more: float
+    spurt_more: float
+
+
+AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -83,6 +108,7 @@ def _light_across(
     right: float,
     left_pull: float,
     right_pull: float,
+    brightness_more: float,
     lamps_cm: Array,
 ) -> float:
     """S * l_n at a place, for the levels that act; each lamp's part of it times its pull."""
@@ -98,7 +124,9 @@ def _light_across(
     by_left, by_right = left_pull * by_left, right_pull * by_right
     pull_x, pull_y = to_left * by_left + to_right * by_right, up * (by_left + by_right)
     brightness = (lamps_cm[0] ** 2 + lamps_cm[1] ** 2) * size / (left_3 * right_3)
-    across = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE * (pull_x * cos - pull_y * sin) / size
+    strength = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE
+    strength *= max(1.0 + brightness_more * _RESPONSE * (strength - 1.0), _LEAST_STRENGTH)
+    across = strength * (pull_x * cos - pull_y * sin) / size
     return 0.0 if brightness < _DARK else float(across)
 
 
@@ -116,6 +144,7 @@ def _bend(
     left_pull: float,
     right_pull: float,
     bias: float,
+    form: Form,
     dt_h: float,
 ) -> None:
     sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
@@ -123,13 +152,17 @@ def _bend(
     soft, pull = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     left, right = _acting(seen[1, 0]), _acting(seen[1, 1])
     directions(length, angle, n, sin, cos, x, y)
+    edge_cm = MATURE_EDGE_CM if form.edge_more == 0.0 else MATURE_EDGE_CM * fast_exp(form.edge_more)
     for j in range(whole_registers(n)):
         d = total_cm - arc[j]
-        share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / MATURE_EDGE_CM))
+        share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / edge_cm))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
     for j in range(whole_registers(n)):
-        light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, lamps_cm)
-        stimulus = p[PHOTO] * light - p[GRAVI] * sin[j] + bias
+        light = _light_across(
+            x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form.brightness_more, lamps_cm
+        )
+        weight = p[GRAVI] * sin[j] * (1.0 + form.lean_more * (sin[j] * sin[j] - _USUAL_LEAN_2))
+        stimulus = p[PHOTO] * light - weight + bias
         pull[j] = reach[j] * stimulus
     turn = below = 0.0
     for j in range(n):
@@ -140,9 +173,11 @@ def _bend(
 
 
 @jit
-def _growth_cm_per_h(total_cm: float, p: Array) -> float:
+def _growth_cm_per_h(total_cm: float, p: Array, spurt_more: float) -> float:
     """Elongation of the whole stem."""
-    return float((p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * lateness(total_cm)) / 24.0)
+    late = lateness(total_cm)
+    linear = p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * late
+    return float(linear * (1.0 + 4.0 * spurt_more * late * (1.0 - late)) / 24.0)
 
 
 @inlined
@@ -160,15 +195,17 @@ def driven_step_lane(
     bias: float,
     growth: float,
     activity: float,
+    form: Form,
     dt_h: float,
 ) -> int:
-    """As :func:`step_lane`; the pull of each lamp and the rate of all bending can be other than 1."""
+    """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others."""
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
     bend_h = dt_h * activity
-    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, left_pull, right_pull, bias, bend_h)
-    elongate(length, n, arc, total, p[GROWTH_ZONE], max(0.0, growth) * _growth_cm_per_h(total, p) * dt_h)
+    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, left_pull, right_pull, bias, form, bend_h)
+    grown_cm = max(0.0, growth) * _growth_cm_per_h(total, p, form.spurt_more) * dt_h
+    elongate(length, n, arc, total, p[GROWTH_ZONE], grown_cm)
     return int(split(length, angle, n))
 
 
@@ -187,7 +224,9 @@ def step_lane(
     dt_h: float,
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
-    return driven_step_lane(length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, growth, 1.0, dt_h)
+    return driven_step_lane(
+        length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, growth, 1.0, AS_WRITTEN, dt_h
+    )
 
 
 def _lanes(

@@ -1,0 +1,60 @@
+"""In what the form of the law may be another than the plants': no causes, since nothing in a box changes them.
+
+How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
+in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
+what else would look like an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from flora_lab.effects.effect import Change, Effect, Parameter, Values
+from flora_lab.simulator import terms
+
+
+def _form(name: str, title: str, term: int, most: float, source: str) -> Effect:
+    amount = Parameter("amount", 0.0, -most, most, "linear", f"see {name.upper()} of flora_lab.simulator.terms", source)
+    return Effect(name, title, "simulator", (amount,), (_adding(term),), lambda _: title)
+
+
+def _adding(term: int) -> Callable[[Change, Values], None]:
+    def add(change: Change, values: Values) -> None:
+        change.terms[term] += values["amount"]
+
+    return add
+
+
+FORMS: Final = (
+    _form(
+        "brightness_more",
+        "Light pulls the more, the brighter it is",
+        terms.BRIGHTNESS_MORE,
+        0.8,
+        "0: Weber-Fechner (Bastien et al. 2015); 1: in proportion to the light",
+    ),
+    _form(
+        "lean_more",
+        "Gravity pulls the more, the farther the stem leans",
+        terms.LEAN_MORE,
+        1.0,
+        "0: the sine law (Sachs 1887; Bastien et al. 2013); below: a pull that saturates",
+    ),
+    _form(
+        "edge_more",
+        "Tissue matures gradually",
+        terms.EDGE_MORE,
+        1.6,
+        "0: within 0.8 cm; stems stiffen e-fold in 3.5 to 6.3 cm (Ohad et al., 54 plants)",
+    ),
+    _form(
+        "spurt_more",
+        "Stems of middle length grow fastest",
+        terms.SPURT_MORE,
+        0.3,
+        "0: straight between the early and the late rate",
+    ),
+    _form("nearer", "Long stems lean towards the camera", terms.NEARER, 0.12, "8 cm in depth seen from 70 cm"),
+)
+"""Each with one parameter, whose plausible range says how wide it is looked for."""

@@ -1,0 +1,111 @@
+"""The law in another form than it is written: what each number changes, by how much, and where it changes nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flora_common.runs import LampsSection
+from flora_lab.simulator import terms
+from flora_lab.simulator.law import standing
+from flora_lab.simulator.rod import EARLY_CM, LATE_CM
+from flora_lab.simulator.terms import NEUTRAL, Driven, ExtendedLaw, Seen
+from flora_lab.simulator.tropism import LIGHT_HALF, MATURE, MATURE_EDGE_CM, STIFFENING, TropismLaw
+from flora_lab.simulator.tropism_traits import prior_mean
+
+Array = Any
+STEP_H = 1.0 / 12.0
+DARK, RIGHT = (0.0, 0.0), (0.0, 1.0)
+LAW = ExtendedLaw(LampsSection())
+EVEN = prior_mean()
+"""A plant whose tissue all bends alike, up to where it is mature."""
+EVEN[STIFFENING], EVEN[MATURE] = np.log(100.0), np.log(8.0)
+
+
+def stem(length_cm: float, lean_deg: float = 0.0) -> Array:
+    lean = np.radians(lean_deg)
+    return np.linspace(0.0, length_cm, 10)[:, None] * np.array([np.sin(lean), np.cos(lean)])
+
+
+def grown(first_cm: Array, lamps: tuple[float, float], hours: float, **form: float) -> tuple[Array, Array]:
+    """A plant that is used to its light, after some hours: ten points as they are shown (10, 2), and all angles."""
+    steps = round(hours / STEP_H)
+    own = NEUTRAL.copy()
+    for name, value in form.items():
+        own[getattr(terms, name.upper())] = value
+    stems = standing(LAW, first_cm[None])
+    stems.memory[0, :2] = np.log1p(np.array(lamps) / LIGHT_HALF) / np.log1p(1.0 / LIGHT_HALF)
+    out = np.empty((steps, 1, 10, 2))
+    still = np.zeros((steps, 1))
+    driven = Driven(np.tile(lamps, (steps, 1, 1)), still, still + 1.0, still + 1.0, still)
+    LAW.advance_with(stems, EVEN[None], own[None], driven, Seen(still, np.ones(1)), STEP_H, 1, out)
+    return out[-1, 0], stems.angle[0, : stems.count[0]]
+
+
+def bent(first_cm: Array, lamps: tuple[float, float], hours: float, **form: float) -> Array:
+    """By how much a straight stem has bent at its joints, rad, but at the foot, where one that leans is bent before."""
+    return np.diff(grown(first_cm, lamps, hours, **form)[1])
+
+
+def test_as_it_is_written_it_is_the_plain_law_to_the_bit() -> None:
+    first, light = stem(7.0, 10.0), np.tile(RIGHT, (36, 1, 1))
+    plain, stems = np.empty((36, 1, 10, 2)), standing(TropismLaw(LampsSection()), first[None])
+    stems.memory[0, :, 1] = 1.0
+    still = np.zeros((36, 1))
+    TropismLaw(LampsSection()).advance(stems, EVEN[None], light, still, still + 1.0, STEP_H, 1, plain)
+    assert grown(first, RIGHT, 3.0)[0].tobytes() == plain[-1, 0].tobytes()
+
+
+@pytest.mark.parametrize("level", [0.5, 0.25])
+def test_light_pulls_with_a_power_of_its_brightness_beyond_the_logarithm(level: float) -> None:
+    """Seen in a dim lamp, before the stem has turned: in first order about a full one."""
+    dim, more = (0.0, level), 0.1
+    plain, beyond = (bent(stem(2.0), dim, STEP_H, brightness_more=value).sum() for value in (0.0, more))
+    below_full = np.log1p(level / LIGHT_HALF) - np.log1p(1.0 / LIGHT_HALF)
+    assert beyond / plain == pytest.approx(1.0 + more * below_full, rel=0.02)
+    assert beyond / plain == pytest.approx(level**more, rel=0.03)
+
+
+def test_the_pull_of_light_never_turns_about() -> None:
+    assert bent(stem(7.0), (0.0, 0.05), 2.0, brightness_more=0.8).sum() > 0.0
+
+
+@pytest.mark.parametrize(("lean_deg", "factor"), [(60.0, 1.5), (30.0, 1.0), (5.0, 0.7576)])
+def test_gravity_pulls_beyond_the_sine(lean_deg: float, factor: float) -> None:
+    first = stem(7.0, lean_deg)
+    plain, beyond = (bent(first, DARK, STEP_H, lean_more=value) for value in (0.0, 1.0))
+    assert plain.sum() < 0.0
+    assert beyond == pytest.approx(factor * plain, rel=1e-3)
+
+
+def test_mature_tissue_begins_gradually() -> None:
+    """Half way at the same place; beyond it tissue turns more, before it less."""
+    wider, first = 1.2, stem(20.0)
+    stems = standing(LAW, first[None])
+    length = stems.length[0, : stems.count[0]]
+    beyond_cm = 20.0 - np.cumsum(length)[:-1] - 8.0
+    plain, wide = (bent(first, RIGHT, STEP_H, edge_more=value) for value in (0.0, wider))
+    little, much = (1.0 / (1.0 + np.exp(beyond_cm / (MATURE_EDGE_CM * np.exp(value)))) for value in (0.0, wider))
+    near = np.abs(beyond_cm) < 2.5
+    assert wide[near] / plain[near] == pytest.approx((much / little)[near], rel=0.05)
+    assert ((wide > plain) == (beyond_cm > 0.0))[near].all()
+
+
+@pytest.mark.parametrize(
+    ("length_cm", "factor"), [(EARLY_CM - 1.0, 1.0), (0.5 * (EARLY_CM + LATE_CM), 1.2), (LATE_CM + 1.0, 1.0)]
+)
+def test_stems_of_middle_length_grow_faster(length_cm: float, factor: float) -> None:
+    plain, faster = (
+        grown(stem(length_cm), DARK, STEP_H, spurt_more=value)[0][-1, 1] - length_cm for value in (0.0, 0.2)
+    )
+    assert faster / plain == pytest.approx(factor, rel=0.005)
+
+
+def test_a_stem_that_leans_to_the_camera_looks_longer() -> None:
+    short, long = (grown(stem(length), DARK, STEP_H, nearer=0.1)[0][-1, 1] for length in (EARLY_CM - 0.5, LATE_CM))
+    plain = grown(stem(LATE_CM), DARK, STEP_H)[0][-1, 1]
+    assert short < EARLY_CM
+    assert short == pytest.approx(grown(stem(EARLY_CM - 0.5), DARK, STEP_H)[0][-1, 1])
+    assert long - plain == pytest.approx(0.1 * 0.5 * (LATE_CM - EARLY_CM), rel=0.05)
