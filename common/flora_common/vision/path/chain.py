@@ -21,7 +21,7 @@ from flora_common.vision.path.evidence import nearest_in_window, window_box
 from flora_common.vision.path.links import PLANT_GAP_COST, SHORT_GAP_CM, TURN_COST, covered, links_between
 from flora_common.vision.path.nodes import Node, angle, median, unit
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.path.strands import End, Strand, Strands
+from flora_common.vision.path.strands import End, Strand, Strands, part
 
 END_COST: Final = {End.FREE: 0.0, End.BRANCH: 0.3, End.LEAF: 0.9}
 """For a stem whose last piece ends like this."""
@@ -83,8 +83,8 @@ class Before:
     trust: float = 1.0
 
 
-_Beam = tuple[float, tuple[int, ...], Node]
-"""Worth of a chain, its nodes, and the longest of them."""
+_Beam = tuple[float, tuple[int, ...], Node, bool]
+"""Worth of a chain, its nodes, the longest of them, and whether the last is stem by itself, where alone it can end."""
 
 
 def _worth(beam: _Beam) -> float:
@@ -115,19 +115,22 @@ def best_chain(
     for k, node in enumerate(nodes):
         cost = _first_cost(node, found, seen_from, px_per_cm, settings)
         if cost is not None:
-            beams.append((node.reward - cost, (k,), node))
+            beams.append((node.reward - cost, (k,), node, True))
     finals: list[tuple[float, tuple[int, ...]]] = []
     last_cost = {only: [_last_cost(n, before, px_per_cm, only=only) for n in nodes] for only in (True, False)}
     for _ in range(MOST_PIECES):
-        finals += [(worth - last_cost[len(chain) == 1][chain[-1]], chain) for worth, chain, _ in beams]
+        finals += [
+            (worth - last_cost[len(chain) == 1][chain[-1]], chain) for worth, chain, _, is_stem in beams if is_stem
+        ]
         longer: list[_Beam] = []
-        for worth, chain, longest in beams:
+        for worth, chain, longest, _ in beams:
             used = {k // 2 for k in chain}
             for to, cost in links[chain[-1]]:
                 if to // 2 not in used:
                     node = nodes[to]
-                    more = worth + node.reward_after(longest) - cost
-                    longer.append((more, (*chain, to), node if node.length_cm > longest.length_cm else longest))
+                    seen = node.reward_after(longest, nodes[chain[-1]])
+                    longer_one = node if node.length_cm > longest.length_cm else longest
+                    longer.append((worth + seen - cost, (*chain, to), longer_one, seen > 0.0))
         longer.sort(key=_worth, reverse=True)
         beams = longer[:BEAMS]
         if not beams:
@@ -168,18 +171,10 @@ def _from_anchor(pieces: Sequence[Strand], anchor: FloatArray, px_per_cm: float)
         k = int(np.argmin(away))
         inside = 4 <= k < len(piece.points) - 4
         if away[k] < 0.35 * px_per_cm and inside:
-            out.append(
-                Strand(piece.points[k:], piece.width[k:], piece.strength[k:], piece.on_leaf, (End.FREE, piece.ends[1]))
-            )
-            out.append(
-                Strand(
-                    piece.points[: k + 1],
-                    piece.width[: k + 1],
-                    piece.strength[: k + 1],
-                    piece.on_leaf,
-                    (piece.ends[0], End.FREE),
-                )
-            )
+            out += [
+                part(piece, slice(k, None), (End.FREE, piece.ends[1])),
+                part(piece, slice(0, k + 1), (piece.ends[0], End.FREE)),
+            ]
         else:
             out.append(piece)
     return out

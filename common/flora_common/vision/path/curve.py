@@ -28,6 +28,10 @@ STEP_PX: Final = 1.5
 KNOT_CM: Final = 0.8
 ROUGHNESS_CM: Final = 0.03
 """How far third differences of the spline's coefficients, 0.8 cm apart, usually are from 0."""
+TIGHT_KNOT_CM, TIGHT_ROUGHNESS_CM = 0.4, 0.1
+"""The same round a hook."""
+BEND_BEGINS_CM: Final = 0.8
+"""Before the place from which a band is followed."""
 EDGE_ERROR_PX: Final = 0.35
 ONE_EDGE_ERROR_PX: Final = 3.0
 RIDGE_ERROR_PX: Final = 1.2
@@ -50,7 +54,9 @@ class Stem:
         seen: shape (n,), where both edges or a ridge were found.
         clean: shape (n,), where both edges were found, as far apart as the stem is wide.
         width: shape (n,), px; what the stem's width is taken to be there.
+        across: shape (n,), px; what was measured of the width, worth something where ``clean``.
         length: along the line, px.
+        bends_from: distance from the anchor, px, from which it bends more tightly than stems usually do.
     """
 
     line: FloatArray
@@ -58,7 +64,9 @@ class Stem:
     seen: BoolArray
     clean: BoolArray
     width: FloatArray
+    across: FloatArray
     length: float
+    bends_from: float = math.inf
 
 
 class Sampler:
@@ -66,6 +74,8 @@ class Sampler:
 
     def __init__(self, evidence: Evidence) -> None:
         self._plant, self._tone = evidence.plant, evidence.tone
+        green, red = evidence.code[..., 1], evidence.code[..., 2]
+        self._green = np.asarray(cv2.subtract(green, red, dtype=cv2.CV_32F), dtype=np.float32)
         self._origin = np.array(evidence.origin_px, dtype=np.float32)
 
     def plant(self, places: FloatArray) -> FloatArray:
@@ -75,6 +85,10 @@ class Sampler:
     def tone(self, places: FloatArray) -> FloatArray:
         """Brightness at places (..., 2)."""
         return self._at(self._tone, places)
+
+    def green(self, places: FloatArray) -> FloatArray:
+        """How much greener than red it is at places (..., 2)."""
+        return self._at(self._green, places)
 
     def _at(self, values: npt.NDArray[np.float32], places: FloatArray) -> FloatArray:
         xy = places.astype(np.float32) - self._origin
@@ -114,7 +128,35 @@ def with_tip(stem: Stem, safe: int, beyond: FloatArray, sampler: Sampler, px_per
     old = arc_length(stem.line)
     width = np.interp(s, old, stem.width)
     known = np.interp(s, old[: safe + 1], stem.seen[: safe + 1].astype(float)) > 0.5
-    return _refined(rough, known | (s > old[safe]), width, sampler, px_per_cm, apex_from=float(old[safe]))
+    return _refined(
+        rough,
+        known | (s > old[safe]),
+        width,
+        sampler,
+        px_per_cm,
+        apex_from=float(old[safe]),
+        bends_from=stem.bends_from,
+    )
+
+
+def round_bend(stem: Stem, safe: int, band: FloatArray, sampler: Sampler, px_per_cm: float) -> Stem:
+    """The line up to a point, and from there along a band that was followed round a bend, both measured.
+
+    Args:
+        stem: line of the chain.
+        safe: index of the last point that is kept.
+        band: shape (n, 2), places that go on from there.
+        sampler: of the picture.
+        px_per_cm: scale.
+    """
+    raw = np.concatenate([stem.line[: safe + 1], band])
+    s_raw, old = arc_length(raw), arc_length(stem.line)
+    s = _steps(s_raw[-1])
+    rough = np.column_stack([np.interp(s, s_raw, raw[:, k]) for k in range(2)])
+    known = np.interp(s, old[: safe + 1], stem.seen[: safe + 1].astype(float)) > 0.5
+    bends_from = max(0.0, float(old[safe]) - BEND_BEGINS_CM * px_per_cm)
+    width = np.interp(s, old, stem.width)
+    return _refined(rough, known | (s > old[safe]), width, sampler, px_per_cm, bends_from=bends_from)
 
 
 def _steps(length: float) -> FloatArray:
@@ -129,6 +171,7 @@ def _refined(
     px_per_cm: float,
     *,
     apex_from: float = math.inf,
+    bends_from: float = math.inf,
 ) -> Stem:
     """Fit, measure across, fit again.
 
@@ -136,7 +179,7 @@ def _refined(
     leaves stand beside the stem there and move what look like its edges, by more than it bends over so short a way.
     """
     anchor, s = rough[0], arc_length(rough)
-    knot, roughness = min(KNOT_CM * px_per_cm, s[-1] / 4.0), ROUGHNESS_CM * px_per_cm
+    knot, roughness = _stiffness(float(s[-1]), px_per_cm, bends_from)
     at_anchor, at_end = 1.0 / (ANCHOR_ERROR_CM * px_per_cm) ** 2, 1.0 / SKELETON_ERROR_PX**2
     unsure = 1.0 / (UNSEEN_ERROR_CM * px_per_cm) ** 2
     weights = np.where(known, at_end, unsure)
@@ -154,7 +197,20 @@ def _refined(
         weights[-1] = max(weights[-1], 0.25 * at_end)
         curve = _robust(s, places, weights, knot, roughness)
     line = curve.at(s)
-    return Stem(line, curve.deviation(s), found.seen, found.clean, width, float(arc_length(line)[-1]))
+    return Stem(
+        line, curve.deviation(s), found.seen, found.clean, width, found.width, float(arc_length(line)[-1]), bends_from
+    )
+
+
+def _stiffness(length: float, px_per_cm: float, bends_from: float) -> tuple[float, FloatArray]:
+    """Distance of the spline's knots, px, and its roughness, one for each of the third differences."""
+    usual = min(KNOT_CM * px_per_cm, length / 4.0)
+    tight = min(TIGHT_KNOT_CM * px_per_cm, length / 4.0)
+    knot = usual if bends_from > length else tight
+    # the same curve has third differences in proportion to the cube of the knots' distance
+    stiff = ROUGHNESS_CM * px_per_cm * (knot / usual) ** 3
+    middle = (np.arange(spline.coefficients(length, knot) - 3) + 0.5) * knot
+    return knot, np.where(middle < bends_from, stiff, max(stiff, TIGHT_ROUGHNESS_CM * px_per_cm))
 
 
 def _model_width(s: FloatArray, found: _Across, before: FloatArray) -> FloatArray:
@@ -172,7 +228,7 @@ def _model_width(s: FloatArray, found: _Across, before: FloatArray) -> FloatArra
     return np.asarray(np.maximum(level + slope * s, 0.45 * level), dtype=np.float64)
 
 
-def _robust(s: FloatArray, places: FloatArray, weights: FloatArray, knot: float, roughness: float) -> Spline:
+def _robust(s: FloatArray, places: FloatArray, weights: FloatArray, knot: float, roughness: FloatArray) -> Spline:
     """Fit twice: what lies far off for its error counts less the second time (Huber's weights)."""
     first = spline.fit(s, places, weights, knot_step=knot, roughness=roughness)
     off = np.hypot(*(first.at(s) - places).T) * np.sqrt(weights)

@@ -23,6 +23,10 @@ ON_LEAF_COST: Final = 0.2
 WIDER, WIDER_PX = 1.25, 1.5
 LEAF_LIKE_COST: Final = 1.6
 KNOWS_WIDTH_CM: Final = 1.0
+GREEN_OVER_CM: Final = 0.8
+GREENER, GREENER_BY = 8.0, 8.0
+"""Code units: a piece that is greener than the end of the one before it by the first may be a leaf, and by both is."""
+LEAF_COLOURED_COST: Final = 1.3
 
 
 class Node:
@@ -45,25 +49,37 @@ class Node:
         self.end_strength = median(strand.strength[-2 * skip - 3 :])
         self.usual_width = median(w)
         self.length_cm = strand.length / px_per_cm
+        near = max(3, round(GREEN_OVER_CM * px_per_cm))
+        self.start_green, self.end_green = median(strand.green[:near]), median(strand.green[-near:])
+        self.green = median(strand.green)
+        # a thin line has some of the colour of what is behind it
+        self._knows_green = min(1.0, max(0.0, 0.5 * (self.usual_width - 1.5))) * min(
+            1.0, self.length_cm / GREEN_OVER_CM
+        )
         self._widths = w
-        self._rewards: dict[int, float] = {}
+        self._rewards: dict[tuple[int, int], float] = {}
         self.reward = self.length_cm * (1.0 - ON_LEAF_COST * strand.on_leaf)
         self.reward -= BEND_COST * _bending(p, px_per_cm)
         self.sure = min(1.0, self.length_cm / SURE_OF_DIRECTION_CM)
 
-    def reward_after(self, longest: Node) -> float:
-        """What is seen of the stem if this is some of it: where it is wider than the stem below, it is a leaf.
+    def reward_after(self, longest: Node, before: Node) -> float:
+        """What is seen of the stem if this is some of it: where it is wider, or greener, than below, it is a leaf.
 
-        ``longest`` is the longest piece below, which knows the stem's width.
+        ``longest`` is the longest piece below, which knows the stem's width, ``before`` the last one, which knows its
+        colour: that may change along a stem, but not at once.
         """
-        known = self._rewards.get(longest.index)
+        key = longest.index, id(before)
+        known = self._rewards.get(key)
         if known is None:
             known = self.reward
             if longest.length_cm >= KNOWS_WIDTH_CM:
                 wide = (self._widths - WIDER_PX) / longest.usual_width
                 leaf_like = np.clip((wide - WIDER) / 0.3, 0.0, 1.0)
                 known *= 1.0 - LEAF_LIKE_COST * float(leaf_like.mean())
-            self._rewards[longest.index] = known
+            greener = min(1.0, max(0.0, (self.green - before.end_green - GREENER) / GREENER_BY))
+            if known > 0.0:
+                known *= 1.0 - LEAF_COLOURED_COST * greener * min(self._knows_green, before._knows_green)
+            self._rewards[key] = known
         return known
 
 

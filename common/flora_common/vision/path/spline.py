@@ -53,7 +53,14 @@ def basis(s: FloatArray, knot_step: float, count: int) -> FloatArray:
     return out
 
 
-def fit(s: FloatArray, places: FloatArray, weights: FloatArray, *, knot_step: float, roughness: float) -> Spline:
+def coefficients(length: float, knot_step: float) -> int:
+    """How many a spline of this length has."""
+    return max(4, int(np.ceil(length / knot_step)) + 3)
+
+
+def fit(
+    s: FloatArray, places: FloatArray, weights: FloatArray, *, knot_step: float, roughness: float | FloatArray
+) -> Spline:
     """The spline that is near the places and smooth.
 
     Args:
@@ -61,13 +68,14 @@ def fit(s: FloatArray, places: FloatArray, weights: FloatArray, *, knot_step: fl
         places: shape (n, 2).
         weights: shape (n,), one over the squared measuring error of each place; 0 leaves it out.
         knot_step: distance of knots.
-        roughness: standard deviation that third differences of coefficients are believed to have, in units of places.
+        roughness: standard deviation that third differences of coefficients are believed to have, in units of places;
+            one for all, or shape (:func:`coefficients` - 3,).
     """
     length = float(s[-1])
-    count = max(4, int(np.ceil(length / knot_step)) + 3)
+    count = coefficients(length, knot_step)
     b = basis(s, knot_step, count)
-    third = np.diff(np.eye(count), n=3, axis=0)
-    normal = (b * weights[:, None]).T @ b + (third.T @ third) / roughness**2
+    third = np.diff(np.eye(count), n=3, axis=0) / np.broadcast_to(roughness, count - 3)[:, None]
+    normal = (b * weights[:, None]).T @ b + third.T @ third
     # a trace of everything keeps the matrix whole where hardly anything was measured
     normal[np.diag_indices(count)] += 1e-9 * max(1.0, float(normal.trace()))
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)

@@ -29,6 +29,8 @@ APART: Final = 1.3
 """In scatters of both: how far apart the colours of stem and leaf must lie."""
 CORNER_ARM, CORNER_RAD = 0.6, 1.0
 """A corner turns by more than this between arms so many widths of the widest stem long."""
+LEAF_GREENER: Final = 13.0
+"""Code units by which a leaf is greener than what bears it, at least, to be told by that."""
 MOST_PIECES: Final = 60
 """The shortest are left out beyond: specks of noise come in hundreds."""
 KNOT_AREA: Final = 2.2
@@ -55,6 +57,7 @@ class Strand:
         points: shape (n, 2), x and y in px of the full picture, from one end to the other.
         width: shape (n,), px.
         strength: shape (n,), evidence of plant.
+        green: shape (n,), how much greener than red it is, code units: leaves are greener than what bears them.
         on_leaf: share of it that lies on a leaf.
         ends: what the first and the last point are.
     """
@@ -62,6 +65,7 @@ class Strand:
     points: FloatArray
     width: FloatArray
     strength: FloatArray
+    green: FloatArray
     on_leaf: float
     ends: tuple[End, End]
 
@@ -73,7 +77,12 @@ class Strand:
     def reversed(self) -> Strand:
         """The same from the other end."""
         return Strand(
-            self.points[::-1], self.width[::-1], self.strength[::-1], self.on_leaf, (self.ends[1], self.ends[0])
+            self.points[::-1],
+            self.width[::-1],
+            self.strength[::-1],
+            self.green[::-1],
+            self.on_leaf,
+            (self.ends[1], self.ends[0]),
         )
 
 
@@ -116,19 +125,20 @@ def find_strands(evidence: Evidence, *, widest_px: float, foot_px: tuple[float, 
     lines, branchings = _branches(skeleton)
     pieces = []
     arm = max(4, round(CORNER_ARM * widest_px))
-    parts = [part for line in lines for part in _without_corners(*line, arm) if len(part[0]) >= 3]
-    for rows, columns in sorted(parts, key=lambda part: len(part[0]), reverse=True)[:MOST_PIECES]:
+    parts = [cut for line in lines for cut in _without_corners(*line, arm) if len(cut[0]) >= 3]
+    for rows, columns in sorted(parts, key=lambda cut: len(cut[0]), reverse=True)[:MOST_PIECES]:
         # half of a pixel lies outside its middle on either side
         width = 2.0 * distance[rows, columns] - 0.5
         ends = (
             _kind_of_end(rows[0], columns[0], width, to_leaf, branchings),
             _kind_of_end(rows[-1], columns[-1], width, to_leaf, branchings),
         )
+        places = np.column_stack([columns + float(ox), rows + float(oy)])
         strength = evidence.plant[rows, columns].astype(np.float64)
+        tint = evidence.code[rows, columns].astype(np.float64)
         leaf_share = float(whole_leaf[rows, columns].mean())
-        piece = Strand(np.column_stack([columns + float(ox), rows + float(oy)]), width, strength, leaf_share, ends)
-        if piece.length >= SHORTEST * widest_px:
-            pieces.append(piece)
+        whole = Strand(places, width, strength, tint[:, 1] - tint[:, 2], leaf_share, ends)
+        pieces += [piece for piece in _by_colour(whole, arm) if piece.length >= SHORTEST * widest_px]
     return Strands(tuple(pieces), mask, whole_leaf, evidence.origin_px)
 
 
@@ -230,6 +240,28 @@ def _without_corners(
             cuts.append(int(k))
     edges = [0, *sorted(k + arm for k in cuts), len(rows)]
     return [(rows[a:b], columns[a:b]) for a, b in pairwise(edges)]
+
+
+def _by_colour(piece: Strand, arm: int) -> list[Strand]:
+    """The piece cut where it turns greener: there a petiole, or the stem, ends and a leaf begins that is as narrow."""
+    if len(piece.points) < 4 * arm:
+        return [piece]
+    total = np.concatenate([[0.0], np.cumsum(piece.green)])
+    mean = (total[arm:] - total[:-arm]) / arm
+    step = mean[arm:] - mean[:-arm]
+    k = int(np.argmax(np.abs(step)))
+    if abs(step[k]) < LEAF_GREENER:
+        return [piece]
+    at, first, last = k + arm, piece.ends[0], piece.ends[1]
+    into_leaf = step[k] > 0
+    middle = (End.LEAF, End.BRANCH) if into_leaf else (End.BRANCH, End.LEAF)
+    below, above = part(piece, slice(0, at), (first, middle[0])), part(piece, slice(at, None), (middle[1], last))
+    return [*_by_colour(below, arm), *_by_colour(above, arm)]
+
+
+def part(piece: Strand, some: slice, ends: tuple[End, End]) -> Strand:
+    """Some of a piece, with other ends."""
+    return Strand(piece.points[some], piece.width[some], piece.strength[some], piece.green[some], piece.on_leaf, ends)
 
 
 def _distance(mask: ByteArray) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 from flora_common.geometry import FloatArray
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, BoolArray, Sampler, Stem, arc_length
+from flora_common.vision.path.trace import traced
 
 LONGEST_CM: Final = 2.5
 BENDS_PER_CM: Final = np.linspace(-0.5, 0.5, 15)
@@ -28,7 +29,17 @@ APEX_CM: Final = 1.2
 """A leaf or bud that hides what comes next, and ends this near, hides the apex."""
 FOLLOWED_CM: Final = 1.2
 """The direction at the safe place is that of this much of the stem below it."""
+FOLLOWED_ROUND_BEND_CM: Final = 0.6
 CLEAN_RUN: Final = 3
+GOES_ON_WIDTHS: Final = (1.0, 2.0)
+"""Where the found line goes on by more than this past the place where the two part, the band is a leaf."""
+KEEPS_TIP_FROM, KEEPS_TIP_CM = 0.5, 0.5
+"""A tip that is as near as this to the one before, where that is trusted, needs no other."""
+MEASURED_POINTS: Final = 12
+LEAVES_WIDTHS, LEAVES_CM = 0.8, 0.15
+"""A band that leaves the found line by more than both is a bend that the line did not take."""
+CLEAN_SHARE: Final = 0.6
+"""Share of the band with two clean edges past that place, from which the second holds."""
 BOTH_SIDES, ONE_SIDE, ON_LEAF = 1.0, 0.35, 0.8
 HIDDEN_COST: Final = 0.25
 OPEN_COST: Final = 3.0
@@ -70,10 +81,11 @@ class Tip:
 
 def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> Tip:
     """Follow the stem from its last sure place to its end; where it was before counts for something."""
-    safe = _safe(stem)
+    safe = _last_sure(stem)
     s = arc_length(stem.line)
     width = float(stem.width[safe])
-    heading, bend = _heading(stem.line, s, safe, FOLLOWED_CM * px_per_cm)
+    followed_cm = FOLLOWED_CM if s[safe] < stem.bends_from else FOLLOWED_ROUND_BEND_CM
+    heading, bend = _heading(stem.line, s, safe, followed_cm * px_per_cm)
     steps = np.arange(STEP, LONGEST_CM * px_per_cm + (s[-1] - s[safe]), STEP)
     # the first arc just goes on, straightening out as stems do; the others are tried against it
     grid = np.meshgrid(BENDS_PER_CM / px_per_cm, TURNS_RAD, indexing="ij")
@@ -103,10 +115,38 @@ def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | No
     # the plant ends within the next pixels, or the stem goes on where it cannot be told from a leaf
     more = _still_there(there[arc], end)
     open_end = _is_open(there[arc], end, width)
+    if end + more >= len(steps) - 1:
+        return Tip(safe, arcs[arc, : end + 1], arcs[arc, end + 1 :], False, error)
     if not open_end and more * STEP <= APEX_CM * px_per_cm:
         # young leaves stand round an apex, and seldom above it: it is likely where the plant ends in this direction
         end, error, open_end = end + more, error + 0.4 * more * STEP, True
     return Tip(safe, arcs[arc, : end + 1], arcs[arc, end + 1 :], open_end, error)
+
+
+def round_bends(stem: Stem, tip: Tip, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> FloatArray:
+    """The band in which the line is sure, followed on, where that leads elsewhere than to the tip; shape (n, 2)."""
+    if before is not None and before.trust > KEEPS_TIP_FROM:
+        end = tip.places[-1] if len(tip.places) else stem.line[tip.safe]
+        if np.hypot(*(end - before.line_px[-1])) < KEEPS_TIP_CM * px_per_cm:
+            return np.zeros((0, 2))
+    band, clean = traced(stem.line[: tip.safe + 1], _width_before(stem, tip.safe), sampler, px_per_cm)
+    if len(band) < 2:
+        return band[:0]
+    width = float(stem.width[tip.safe])
+    found = np.concatenate([stem.line[max(0, tip.safe - 8) : tip.safe + 1], tip.places])[::2]
+    squared = ((band[:, None, :] - found[None]) ** 2).sum(axis=2)
+    off = np.flatnonzero(np.sqrt(squared.min(axis=1)) > max(LEAVES_WIDTHS * width, LEAVES_CM * px_per_cm))
+    if not off.size:
+        return band[:0]
+    parting = int(np.argmin(squared[max(0, off[0] - 1)]))
+    most = GOES_ON_WIDTHS[int(clean[off[0] :].mean() > CLEAN_SHARE)] * width
+    return band if float(arc_length(found[parting:])[-1]) < most else band[:0]
+
+
+def _width_before(stem: Stem, safe: int) -> float:
+    """The stem's width near a place, px: as it was measured rather than as a line through all its measures says."""
+    measured = stem.across[: safe + 1][stem.clean[: safe + 1]][-MEASURED_POINTS:]
+    return float(np.median(measured)) if len(measured) else float(stem.width[safe])
 
 
 def _along(line: FloatArray, s: FloatArray, steps: FloatArray) -> FloatArray | None:
@@ -130,7 +170,7 @@ def _is_open(there: BoolArray, end: int, width: float) -> bool:
     return _still_there(there, end) * STEP < 0.5 * width + 1.0
 
 
-def _safe(stem: Stem) -> int:
+def _last_sure(stem: Stem) -> int:
     """The last point of a run of clean ones."""
     run = np.convolve(stem.clean.astype(int), np.ones(CLEAN_RUN, int), mode="valid") == CLEAN_RUN
     found = np.flatnonzero(run)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -14,7 +13,7 @@ from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.lamp_states import EmptySetup
-from flora_common.vision.path import curve, length, steady
+from flora_common.vision.path import curve, doubts, length, steady
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
 from flora_common.vision.path.evidence import Evidence, PlantFinder, nearest_in_window
@@ -23,7 +22,7 @@ from flora_common.vision.path.likeness import OF_FRAMES, OF_THE_FIRST, USUAL, Li
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.steady import TurnState
 from flora_common.vision.path.strands import Strands, find_strands
-from flora_common.vision.path.tip import Tip, find_tip
+from flora_common.vision.path.tip import Tip, find_tip, round_bends
 from flora_common.vision.picture import Picture
 from flora_common.vision.reading import (
     JUMPED,
@@ -35,22 +34,15 @@ from flora_common.vision.reading import (
     no_stem,
 )
 
+MOST_BENDS: Final = 3
 SHORTEST_STEM_CM: Final = 0.4
 LEAST_SOLID_CM: Final = 0.3
 """Of a chain of pieces that ends where no stem was before: one that hangs together less is made of coincidences."""
 SAME_TIP_CM: Final = 1.0
-LEAST_COVER: Final = 0.75
-"""Share of the line that must lie on plant."""
-REACHES_IN_CM: Final = 2.0
-"""A leaf may touch the picture's sides or upper edge over this length; an arm does over more."""
-EDGE_PX: Final = 3
 FAINT, LEVEL = 15.0, 0.4
 """Code units, and rise over length."""
-REACH_CM: Final = 0.15
-"""What is nearer than twice this hangs together."""
-GOES_ON_CM, GOES_ON_SHARE = 1.5, 0.5
-"""Plant that hangs together with the tip and goes on above it by more than the first, and by more than this share of
-the stem's length: the stem goes on in it."""
+CLEAR_CHOICE_CM: Final = 0.75
+"""By so much the best chain must be better than any other, in a picture by itself."""
 UNCERTAIN_TIP_MM: Final = 4.0
 LEAST_SEEN: Final = 0.35
 BLUR_PX: Final = 2.0
@@ -61,6 +53,12 @@ FLOOR_MM: Final = 0.1
 """Of the uncertainty: lens, anchor and scale are not known better."""
 FOLD_CM: Final = 0.15
 DOUBTS_BELIEVED: Final = 3
+STEP_CM, STEP_SHARE = 0.5, 0.25
+"""A tip that moved by more than the first, and this share of the fastest growth, is likely another thing."""
+STEPS_BELIEVED: Final = 4
+"""After so many pictures in a row that say so it is the stem all the same."""
+HOLDS_FROM, HOLDING_TRUST = 0.4, 4.0
+"""Only a stem that was seen well and lately is held to, and then so much more than usually."""
 LINE_KEPT_EVERY: Final = 4
 """Points of the line that memory keeps: one in so many, some 6 px apart."""
 
@@ -74,6 +72,8 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         seen: share of it that was seen.
         doubts: readings in a row that lay elsewhere, or showed too little to be believed.
         turn: belief on which way its end points.
+        elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
+        sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
     """
 
     line_px: list[tuple[float, float]]
@@ -81,6 +81,8 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seen: float = 1.0
     doubts: int = 0
     turn: TurnState | None = None
+    elsewhere: int = 0
+    sure: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +92,25 @@ class Sight:
     evidence: Evidence
     strands: Strands | None
     likeness: Likeness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A chain of pieces, where it ends, and the smooth line to there."""
+
+    chain: Chain
+    tip: Tip
+    reached: Stem
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """What is remembered beside the line; see :class:`Memory`."""
+
+    length: LengthState
+    turn: TurnState | None
+    elsewhere: int
+    sure: bool
 
 
 class PathTracker:
@@ -153,26 +174,67 @@ class PathTracker:
             return no_stem("nothing at the anchor differs from the empty setup")
         scale = self.camera.px_per_cm
         before = None
-        if self.memory is not None:
+        if self.memory is not None and self.memory.sure:
             trust = float(np.clip((self.memory.seen - LEAST_SEEN) / (1.0 - 2.0 * LEAST_SEEN), 0.0, 1.0))
             trust /= 1.0 + (max(0.0, time_s - self.memory.length.time_s) / FORGETS_S) ** 2
             before = Before(np.array(self.memory.line_px), trust)
+        sampler = Sampler(evidence)
+        fit = self._fitted(strands, sampler, before)
+        if isinstance(fit, str):
+            return no_stem(fit)
+        fit, elsewhere = self._held(fit, strands, sampler, before, time_s)
+        belief = self._belief(fit.reached, fit.tip, time_s)
+        final = _as_long_as(fit.reached, fit.tip, belief.length_cm * scale)
+        final, turn = self._steadied(final, fit.tip, time_s)
+        above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands, scale))
+        doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm) or self._doubt_of_start(
+            sight, fit.chain, final
+        )
+        sure = before is not None or fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
+        unsure = "" if sure else "another part of the plant may as well be the stem"
+        unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
+        return self._reading(final, _State(belief, turn, elsewhere, sure), evidence, doubt, unsure)
+
+    def _fitted(self, strands: Strands, sampler: Sampler, before: Before | None) -> _Fit | str:
+        """What looks most like the stem, or why nothing does."""
+        scale = self.camera.px_per_cm
         chain = best_chain(strands, self.camera, self.settings, before)
         if chain is None:
-            return no_stem("no piece of stem begins near the anchor")
+            return "no piece of stem begins near the anchor"
         if chain.solid_cm < LEAST_SOLID_CM and not self._ends_as_before(chain):
-            return no_stem("what begins near the anchor is too broken to be a stem")
-        sampler = Sampler(evidence)
+            return "what begins near the anchor is too broken to be a stem"
         stem = curve.along_chain(chain, sampler, scale)
         tip = find_tip(stem, sampler, scale, before)
+        for _ in range(MOST_BENDS):
+            band = round_bends(stem, tip, sampler, scale, before)
+            if not len(band):
+                break
+            stem = curve.round_bend(stem, tip.safe, band, sampler, scale)
+            tip = find_tip(stem, sampler, scale, before)
         reached = curve.with_tip(stem, tip.safe, tip.places, sampler, scale)
         if reached.length < SHORTEST_STEM_CM * scale:
-            return no_stem(f"what stands at the anchor is only {reached.length / scale:.1f} cm long")
-        belief = self._belief(reached, tip, time_s)
-        final = _as_long_as(reached, tip, belief.length_cm * scale)
-        final, turn = self._steadied(final, tip, time_s)
-        doubt = self._doubt(final, sampler, strands) or self._doubt_of_start(sight, chain, final)
-        return self._reading(final, belief, turn, evidence, doubt)
+            return f"what stands at the anchor is only {reached.length / scale:.1f} cm long"
+        return _Fit(chain, tip, reached)
+
+    def _held(
+        self, fit: _Fit, strands: Strands, sampler: Sampler, before: Before | None, time_s: float
+    ) -> tuple[_Fit, int]:
+        """The same, unless its tip is farther from the one before than any grows and the old place shows a stem too.
+
+        Then that, and for how many pictures in a row it was preferred: a leaf that is taken for the tip in one picture
+        is not in the next ones, and a stem that was mistaken is.
+        """
+        if self.memory is None or before is None or before.trust < HOLDS_FROM:
+            return fit, 0
+        hours = max(0.0, time_s - self.memory.length.time_s) / 3600.0
+        most_px = (STEP_CM + STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
+        if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
+            return fit, 0
+        if self.memory.elsewhere < STEPS_BELIEVED:
+            again = self._fitted(strands, sampler, replace(before, trust=HOLDING_TRUST))
+            if not isinstance(again, str) and math.dist(again.reached.line[-1], before.line_px[-1]) <= most_px:
+                return again, self.memory.elsewhere + 1
+        return fit, 0
 
     def _ends_as_before(self, chain: Chain) -> bool:
         if self.memory is None or self.memory.seen < LEAST_SEEN:
@@ -195,21 +257,6 @@ class PathTracker:
         before = self.memory.length if self.memory else None
         return length.measured(before, time_s, stem.length / scale, tip.error_px / scale, hidden=not tip.open_end)
 
-    def _doubt(self, stem: Stem, sampler: Sampler, strands: Strands) -> str:
-        """Why the line may be another thing than the whole stem, one clause; empty where nothing says so."""
-        scale = self.camera.px_per_cm
-        covered = float((sampler.plant(stem.line[None])[0, stem.seen] > 0).mean()) if stem.seen.any() else 0.0
-        if covered < LEAST_COVER:
-            return f"only {covered:.0%} of the line lies on plant"
-        touching_cm = _touching_px(strands, self.camera) / scale
-        if touching_cm > REACHES_IN_CM:
-            return f"something wide reaches in over {touching_cm:.0f} cm of the picture's edge"
-        above_cm = _above_px(stem.line, strands, round(REACH_CM * scale)) / scale
-        length_cm = stem.length / scale
-        if above_cm > max(GOES_ON_CM, GOES_ON_SHARE * length_cm):
-            return f"the plant goes on for {above_cm:.1f} cm above a stem of {length_cm:.1f} cm"
-        return ""
-
     def _doubt_of_start(self, sight: Sight, chain: Chain, stem: Stem) -> str:
         """A first picture must be clearer than those that follow others, unless the next ones are no clearer."""
         if self.memory is not None or self._likeness is None:
@@ -221,9 +268,8 @@ class PathTracker:
         self._doubtful_starts = self._doubtful_starts + 1 if unmet else 0
         return unmet if self._doubtful_starts < DOUBTS_BELIEVED else ""
 
-    def _reading(
-        self, stem: Stem, belief: LengthState, turn: TurnState | None, evidence: Evidence, doubt: str
-    ) -> StemReading:
+    def _reading(self, stem: Stem, state: _State, evidence: Evidence, doubt: str, unsure: str) -> StemReading:
+        belief = state.length
         line_cm = self._to_cm(stem.line)
         line_cm[0] = 0.0
         points = _by_arc(line_cm) if self.settings.points == "arc" else resample_by_height(line_cm)
@@ -234,7 +280,9 @@ class PathTracker:
         outcome, reason = self._judge(stem, seen, float(uncertainty[-1]), belief.time_s)
         if doubt and outcome in (OK, JUMPED):
             outcome, reason = OCCLUDED, doubt
-        self._remember(stem, belief, turn, outcome, seen, bool(doubt))
+        self._remember(stem, state, outcome, seen, bool(doubt))
+        if unsure and outcome == OK:
+            outcome, reason = OCCLUDED, unsure
         folded = bool(line_cm[:, 1].max() - line_cm[-1, 1] > FOLD_CM or (np.diff(line_cm[::4, 1]) < -0.05).any())
         return StemReading(
             outcome,
@@ -263,21 +311,21 @@ class PathTracker:
             return OCCLUDED, f"the tip is hidden; it may lie {tip_mm:.0f} mm off"
         return OK, ""
 
-    def _remember(
-        self, stem: Stem, belief: LengthState, turn: TurnState | None, outcome: str, seen: float, doubted: bool
-    ) -> None:
+    def _remember(self, stem: Stem, state: _State, outcome: str, seen: float, doubted: bool) -> None:
         if self.memory is None and doubted:
             return
         doubtful = self.memory is not None and (doubted or outcome == JUMPED or seen < LEAST_SEEN)
-        doubts = self.memory.doubts + 1 if doubtful and self.memory is not None else 0
-        if self.memory is not None and 0 < doubts < DOUBTS_BELIEVED:
-            self.memory = msgspec.structs.replace(self.memory, doubts=doubts)
+        count = self.memory.doubts + 1 if doubtful and self.memory is not None else 0
+        if self.memory is not None and 0 < count < DOUBTS_BELIEVED:
+            self.memory = msgspec.structs.replace(self.memory, doubts=count)
             return
         kept = [*stem.line[:-1:LINE_KEPT_EVERY], stem.line[-1]]
         # of a new place the length is known, but not what the old one's history says of it
-        if doubts:
+        belief = state.length
+        if count:
             belief = LengthState(belief.time_s, stem.length / self.camera.px_per_cm)
-        self.memory = Memory([(float(x), float(y)) for x, y in kept], belief, seen, turn=turn)
+        line = [(float(x), float(y)) for x, y in kept]
+        self.memory = Memory(line, belief, seen, turn=state.turn, elsewhere=state.elsewhere, sure=state.sure)
 
     def _at_edge(self, tip: FloatArray) -> bool:
         x0, y0, x1, _ = self.settings.window_px or (0.0, 0.0, self.camera.width_px - 1.0, 0.0)
@@ -293,32 +341,6 @@ class PathTracker:
         out = np.hypot(across, FLOOR_MM)
         out[-1] = math.hypot(out[-1], tip_mm)
         return np.asarray(out, dtype=np.float64)
-
-
-def _touching_px(strands: Strands, camera: CameraSection) -> float:
-    """Over how many px of the picture's sides and upper edge wide parts of plant touch it."""
-    (x, y), width = strands.origin_px, strands.leaf.shape[1]
-    count = 0
-    if x <= EDGE_PX:
-        count += int(strands.leaf[:, : EDGE_PX + 1 - x].any(axis=1).sum())
-    if x + width >= camera.width_px - EDGE_PX:
-        count += int(strands.leaf[:, -EDGE_PX:].any(axis=1).sum())
-    if y <= EDGE_PX:
-        count += int(strands.leaf[: EDGE_PX + 1 - y].any(axis=0).sum())
-    return float(count)
-
-
-def _above_px(line: FloatArray, strands: Strands, reach_px: int) -> float:
-    """How far above the whole line the plant reaches that hangs together with its last point."""
-    half = strands.mask[::2, ::2]
-    near = cv2.dilate(half, np.ones((max(1, reach_px) | 1,) * 2, np.uint8))
-    _, labels = cv2.connectedComponents(near, connectivity=4)
-    x, y = ((line[-1] - np.array(strands.origin_px)) / 2.0).round().astype(int)
-    label = labels[int(np.clip(y, 0, half.shape[0] - 1)), int(np.clip(x, 0, half.shape[1] - 1))]
-    rows = np.flatnonzero(((labels == label) & (half > 0)).any(axis=1)) if label else np.zeros(0)
-    if rows.size == 0:
-        return 0.0
-    return float(line[:, 1].min() - (strands.origin_px[1] + 2 * int(rows[0])))
 
 
 def _as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
@@ -342,7 +364,9 @@ def _as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
         deviation = np.concatenate([stem.deviation, grown])
         seen = np.concatenate([stem.seen, np.zeros(extra, dtype=np.bool_)])
         pick = np.minimum(np.arange(len(line)), len(s) - 1)
-    return Stem(line, deviation, seen, stem.clean[pick] & seen, stem.width[pick], float(arc_length(line)[-1]))
+    return Stem(
+        line, deviation, seen, stem.clean[pick] & seen, stem.width[pick], stem.across[pick], float(arc_length(line)[-1])
+    )
 
 
 def _by_arc(line_cm: FloatArray) -> FloatArray:

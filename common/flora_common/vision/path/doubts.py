@@ -1,0 +1,95 @@
+"""Why a line that was found may not be the whole stem, or may be another thing.
+
+What is said here is said of one picture by itself. One that gives a :func:`doubt` shows something else than a plant, or
+hardly any of it; one that leaves only :func:`unsure_of_end` shows the stem, and perhaps not all of it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.runs import CameraSection
+from flora_common.vision.path.curve import Sampler, Stem, arc_length
+from flora_common.vision.path.strands import Strands
+
+LEAST_COVER: Final = 0.75
+"""Share of the line that must lie on plant."""
+REACHES_IN_CM: Final = 2.0
+"""A leaf may touch the picture's sides or upper edge over this length; an arm does over more."""
+EDGE_PX: Final = 3
+REACH_CM: Final = 0.15
+"""What is nearer than twice this hangs together."""
+GOES_ON_CM, GOES_ON_SHARE = 1.5, 0.5
+"""Plant that hangs together with the tip and goes on above it by more than the first, and by more than this share of
+the stem's length: the stem goes on in it."""
+UNSURE_BEYOND_CM: Final = 1.0
+"""Plant that goes on by more than this above the tip, or ahead of it, may be the stem."""
+HEADING_CM, CONE = 0.8, 0.6
+"""Ahead is what lies within this slope to either side of the last piece of so much of the stem."""
+FADED, FADED_SHARE = 10.0, 0.45
+"""Evidence before the tip, and its share of that below, under which the stem has faded and may go on unseen."""
+
+
+def doubt(stem: Stem, sampler: Sampler, strands: Strands, camera: CameraSection, above_cm: float) -> str:
+    """Why the line may be another thing than the whole stem, one clause; empty where nothing says so."""
+    scale = camera.px_per_cm
+    covered = float((sampler.plant(stem.line[None])[0, stem.seen] > 0).mean()) if stem.seen.any() else 0.0
+    if covered < LEAST_COVER:
+        return f"only {covered:.0%} of the line lies on plant"
+    touching_cm = _touching_px(strands, camera) / scale
+    if touching_cm > REACHES_IN_CM:
+        return f"something wide reaches in over {touching_cm:.0f} cm of the picture's edge"
+    length_cm = stem.length / scale
+    if above_cm > max(GOES_ON_CM, GOES_ON_SHARE * length_cm):
+        return f"the plant goes on for {above_cm:.1f} cm above a stem of {length_cm:.1f} cm"
+    return ""
+
+
+def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: float, ahead_cm: float) -> str:
+    """Why the stem may end elsewhere, one clause; empty where nothing says so."""
+    if above_cm > UNSURE_BEYOND_CM:
+        return f"the plant goes on for {above_cm:.1f} cm above the tip"
+    if ahead_cm > UNSURE_BEYOND_CM:
+        return f"the plant goes on for {ahead_cm:.1f} cm ahead of the tip"
+    s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
+    to_tip_cm = (s[-1] - s) / px_per_cm
+    last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
+    if last.size and rest.size and (np.median(last) < max(FADED, FADED_SHARE * float(np.median(rest)))):
+        return "the stem fades before it ends: it looks like what is behind it"
+    return ""
+
+
+def beyond_px(line: FloatArray, strands: Strands, px_per_cm: float) -> tuple[float, float]:
+    """How far the plant that hangs together with a line's end goes on above the whole line, and ahead of its end."""
+    half = strands.mask[::2, ::2]
+    near = cv2.dilate(half, np.ones((max(1, round(REACH_CM * px_per_cm)) | 1,) * 2, np.uint8))
+    _, labels = cv2.connectedComponents(near, connectivity=4)
+    x, y = ((line[-1] - np.array(strands.origin_px)) / 2.0).round().astype(int)
+    label = labels[int(np.clip(y, 0, half.shape[0] - 1)), int(np.clip(x, 0, half.shape[1] - 1))]
+    rows, columns = np.nonzero((labels == label) & (half > 0)) if label else (np.zeros(0), np.zeros(0))
+    if rows.size == 0:
+        return 0.0, 0.0
+    above = float(line[:, 1].min() - (strands.origin_px[1] + 2 * int(rows.min())))
+    s = arc_length(line)
+    heading = line[-1] - line[int(np.searchsorted(s, s[-1] - HEADING_CM * px_per_cm))]
+    heading /= max(1e-9, float(np.hypot(*heading)))
+    off = 2.0 * np.column_stack([columns, rows]) + strands.origin_px - line[-1]
+    ahead, aside = off @ heading, np.abs(off @ np.array([-heading[1], heading[0]]))
+    return above, float(np.max(ahead, where=aside < CONE * ahead + 0.1 * px_per_cm, initial=0.0))
+
+
+def _touching_px(strands: Strands, camera: CameraSection) -> float:
+    """Over how many px of the picture's sides and upper edge wide parts of plant touch it."""
+    (x, y), width = strands.origin_px, strands.leaf.shape[1]
+    count = 0
+    if x <= EDGE_PX:
+        count += int(strands.leaf[:, : EDGE_PX + 1 - x].any(axis=1).sum())
+    if x + width >= camera.width_px - EDGE_PX:
+        count += int(strands.leaf[:, -EDGE_PX:].any(axis=1).sum())
+    if y <= EDGE_PX:
+        count += int(strands.leaf[: EDGE_PX + 1 - y].any(axis=0).sum())
+    return float(count)

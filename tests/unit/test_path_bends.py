@@ -1,0 +1,111 @@
+"""Stems that bend tightly, leaves told by their colour, tips that are not believed at once, and honest doubt."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from flora_common.geometry import FloatArray
+from flora_common.runs import CameraSection
+from flora_common.vision.lamp_states import from_background
+from flora_common.vision.path.chain import best_chain
+from flora_common.vision.path.tracker import PathTracker
+from flora_common.vision.reading import OCCLUDED, OK, StemReading
+
+WIDTH, HEIGHT, SCALE = 480, 400, 20.0
+ANCHOR = (240.0, 385.0)
+CAMERA = CameraSection(anchor_px=ANCHOR, px_per_cm=SCALE, width_px=WIDTH, height_px=HEIGHT)
+_GRAIN = np.random.default_rng(11).normal(0.0, 90.0, (HEIGHT, WIDTH))
+BOARD = np.clip(70.0 + cv2.GaussianBlur(_GRAIN, (0, 0), 6.0), 25, 160)[:, :, None] * np.array([1.05, 1.0, 0.95])
+STEM, LEAF = (60, 190, 150), (50, 190, 60)
+
+
+def board(number: int) -> np.ndarray:
+    picture = BOARD + np.random.default_rng(number).normal(0.0, 1.5, BOARD.shape)
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def drawn(picture: np.ndarray, line_cm: FloatArray, colour: tuple[int, int, int] = STEM, width: int = 5) -> np.ndarray:
+    px = np.array(ANCHOR) + line_cm * np.array([SCALE, -SCALE])
+    cv2.polylines(picture, [np.rint(16 * px).astype(np.int32)], False, colour, width, cv2.LINE_AA, 4)
+    return picture
+
+
+def tracker() -> PathTracker:
+    return PathTracker(from_background([board(1000 + k) for k in range(2)]), CAMERA)
+
+
+def upright(height_cm: float) -> FloatArray:
+    return np.column_stack([np.zeros(40), np.linspace(0.0, height_cm, 40)])
+
+
+def hooked(height_cm: float, radius_cm: float, turn_rad: float) -> FloatArray:
+    """Upright, then round a circle to the right."""
+    t = np.linspace(0.0, turn_rad, 40)[1:]
+    bend = np.column_stack([radius_cm * (1.0 - np.cos(t)), height_cm + radius_cm * np.sin(t)])
+    return np.concatenate([upright(height_cm), bend])
+
+
+def tip_error_mm(reading: StemReading, line_cm: FloatArray) -> float:
+    assert reading.points_cm is not None
+    return 10.0 * math.dist(reading.points_cm[-1], line_cm[-1])
+
+
+@pytest.mark.parametrize("radius_cm", [0.35, 0.5, 0.8])
+@pytest.mark.parametrize("turn_rad", [1.6, 2.2])
+def test_a_tight_hook_is_followed_to_its_end(radius_cm: float, turn_rad: float) -> None:
+    line = hooked(7.0, radius_cm, turn_rad)
+    reading = tracker().read(drawn(board(1), line), 0.0)
+    assert reading.outcome == OK
+    assert tip_error_mm(reading, line) < 2.5
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.3])
+def test_a_narrow_leaf_on_top_that_is_greener_is_no_piece_of_the_stem(turn_rad: float) -> None:
+    line, one = upright(7.0), tracker()
+    t = np.linspace(0.0, 1.0, 20)[:, None]
+    leaf = line[-1] + 2.5 * t * np.array([math.sin(turn_rad), math.cos(turn_rad)])
+    for colour, end_cm in ((LEAF, 7.0), (STEM, 9.5)):
+        strands = one.look(drawn(drawn(board(1), leaf, colour), line)).strands
+        assert strands is not None
+        chain = best_chain(strands, CAMERA, one.settings)
+        assert chain is not None
+        top_cm = (ANCHOR[1] - float(chain.points[-1, 1])) / SCALE
+        assert top_cm == pytest.approx(end_cm, abs=0.4)
+
+
+def test_a_tip_that_leaps_in_one_picture_is_not_believed_in_that_one_and_is_when_it_stays() -> None:
+    one, line = tracker(), upright(8.0)
+    # for a while the last three centimetres hardly differ from the board, and a petiole below them does
+    petiole = np.array([[0.0, 5.0], [1.2, 6.2], [2.8, 7.0]])
+    usual = [drawn(drawn(board(k), petiole, STEM, 3), line) for k in range(12)]
+    for k in range(6):
+        assert one.read(usual[k], 300.0 * k).outcome == OK
+    reading = one.read(drawn(drawn(board(50), petiole, STEM, 5), line[:27]), 1800.0)
+    assert reading.outcome != OK or tip_error_mm(reading, line) < 15.0
+    after = one.read(usual[7], 2100.0)
+    assert tip_error_mm(after, line) < 3.0
+
+
+def test_of_two_stems_alike_none_is_said_with_confidence() -> None:
+    left, right = (np.column_stack([s * np.linspace(0.0, 2.5, 40), np.linspace(0.0, 7.0, 40)]) for s in (-1.0, 1.0))
+    reading = tracker().read(drawn(drawn(board(1), left), right), 0.0)
+    assert reading.outcome == OCCLUDED
+    assert reading.reason
+
+
+def test_a_stem_that_fades_is_told() -> None:
+    line = upright(9.0)
+    picture = board(1)
+    shades = np.linspace(1.0, 0.06, 24)
+    for k, share in enumerate(shades):
+        part = line[round(k * 39 / 24) : round((k + 1) * 39 / 24) + 1]
+        y = round(ANCHOR[1] - SCALE * float(part[:, 1].mean()))
+        behind = picture[y, 240].astype(float)
+        tone = tuple(float(v) for v in behind + share * (np.array(STEM) - behind))
+        drawn(picture, part, tone)  # type: ignore[arg-type]
+    reading = tracker().read(picture, 0.0)
+    assert reading.outcome != OK or tip_error_mm(reading, line) < 10.0
