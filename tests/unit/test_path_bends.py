@@ -1,4 +1,4 @@
-"""Stems that bend tightly, leaves told by their colour, tips that are not believed at once, and honest doubt."""
+"""Stems that bend tightly, leaves told by their colour, stems that are not left at once, and honest doubt."""
 
 from __future__ import annotations
 
@@ -77,17 +77,27 @@ def test_a_narrow_leaf_on_top_that_is_greener_is_no_piece_of_the_stem(turn_rad: 
         assert top_cm == pytest.approx(end_cm, abs=0.4)
 
 
-def test_a_tip_that_leaps_in_one_picture_is_not_believed_in_that_one_and_is_when_it_stays() -> None:
-    one, line = tracker(), upright(8.0)
-    # for a while the last three centimetres hardly differ from the board, and a petiole below them does
-    petiole = np.array([[0.0, 5.0], [1.2, 6.2], [2.8, 7.0]])
-    usual = [drawn(drawn(board(k), petiole, STEM, 3), line) for k in range(12)]
+def leaning(lean_cm: float, height_cm: float, foot_cm: float = 0.0) -> FloatArray:
+    return np.column_stack([foot_cm + np.linspace(0.0, lean_cm, 40), np.linspace(0.0, height_cm, 40)])
+
+
+def test_a_stem_that_was_followed_is_not_left_at_once_for_a_longer_one() -> None:
+    one, line, other = tracker(), leaning(-2.5, 6.0), leaning(0.5, 11.0)
     for k in range(6):
-        assert one.read(usual[k], 300.0 * k).outcome == OK
-    reading = one.read(drawn(drawn(board(50), petiole, STEM, 5), line[:27]), 1800.0)
-    assert reading.outcome != OK or tip_error_mm(reading, line) < 15.0
-    after = one.read(usual[7], 2100.0)
-    assert tip_error_mm(after, line) < 3.0
+        assert one.read(drawn(board(k), line), 300.0 * k).outcome == OK
+    for k in range(6, 12):
+        reading = one.read(drawn(drawn(board(k), line), other), 300.0 * k)
+        assert tip_error_mm(reading, line) < 3.0
+        assert reading.outcome == OCCLUDED
+
+
+def test_a_second_plant_beside_the_first_is_told() -> None:
+    line = leaning(0.5, 7.0)
+    alone = tracker().read(drawn(board(1), line), 0.0)
+    both = tracker().read(drawn(drawn(board(1), line), leaning(-1.0, 8.0, foot_cm=4.0)), 0.0)
+    assert alone.outcome == OK
+    assert both.outcome == OCCLUDED
+    assert "beside the anchor" in both.reason
 
 
 def test_of_two_stems_alike_none_is_said_with_confidence() -> None:

@@ -38,6 +38,8 @@ STRAIGHT_UP: Final = np.array([0.0, -1.0])
 TIP_MOVE_COST: Final = 1.2
 KEEPS_PLACE: Final = 1.15
 LOSES_PLACE: Final = 0.85
+RIVAL_CM: Final = 1.0
+"""A chain that ends farther off than this is another answer."""
 SAMPLES: Final = 10
 BEAMS: Final = 24
 MOST_CANDIDATES: Final = 40
@@ -84,7 +86,7 @@ class Before:
 
 
 _Beam = tuple[float, tuple[int, ...], Node, bool]
-"""Worth of a chain, its nodes, the longest of them, and whether the last is stem by itself, where alone it can end."""
+"""Worth of a chain, its nodes, the longest of them, and whether the last is stem: no chain ends in another thing."""
 
 
 def _worth(beam: _Beam) -> float:
@@ -139,7 +141,9 @@ def best_chain(
         return None
     worth, chain = max(finals, key=lambda item: item[0])
     tip = nodes[chain[-1]].end
-    elsewhere = [w for w, c in finals if math.dist(nodes[c[-1]].end, tip) > 0.6 * px_per_cm and c != chain[: len(c)]]
+    elsewhere = [
+        w for w, c in finals if math.dist(nodes[c[-1]].end, tip) > RIVAL_CM * px_per_cm and c != chain[: len(c)]
+    ]
     base_turn = BASE_TURN_COST * float(angle(STRAIGHT_UP, nodes[chain[0]].start_direction)) ** 2
     solid = worth + last_cost[len(chain) == 1][chain[-1]] + base_turn
     return _joined([nodes[k].strand for k in chain], anchor, worth, solid, max(elsewhere, default=-math.inf))

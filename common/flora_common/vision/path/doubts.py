@@ -13,8 +13,9 @@ import numpy as np
 
 from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
+from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
-from flora_common.vision.path.strands import Strands
+from flora_common.vision.path.strands import End, Strands
 
 LEAST_COVER: Final = 0.75
 """Share of the line that must lie on plant."""
@@ -30,6 +31,12 @@ UNSURE_BEYOND_CM: Final = 1.0
 """Plant that goes on by more than this above the tip, or ahead of it, may be the stem."""
 HEADING_CM, CONE = 0.8, 0.6
 """Ahead is what lies within this slope to either side of the last piece of so much of the stem."""
+RISES_CM, UPRIGHT = 1.2, 0.8
+"""Another stem is as long as this, and leans by less."""
+FOOT_CM, BESIDE_CM = 1.0, 1.0
+"""Its foot is no higher above the anchor's height than the first, and farther aside than the second."""
+ALIKE: Final = 0.5
+"""In shares of the stem's: how clear and thick it is at least."""
 FADED, FADED_SHARE = 10.0, 0.45
 """Evidence before the tip, and its share of that below, under which the stem has faded and may go on unseen."""
 
@@ -61,6 +68,29 @@ def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: floa
     if last.size and rest.size and (np.median(last) < max(FADED, FADED_SHARE * float(np.median(rest)))):
         return "the stem fades before it ends: it looks like what is behind it"
     return ""
+
+
+def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
+    """Whether something else rises from the height of the anchor, as thick and as clear as the stem: another plant."""
+    scale, (x, y) = camera.px_per_cm, camera.anchor_px
+    strength = float(np.median(np.concatenate([piece.strength for piece in chain.pieces])))
+    width = float(np.nanmedian(chain.width))
+    for piece in strands.pieces:
+        low = piece if piece.points[0, 1] > piece.points[-1, 1] else piece.reversed()
+        foot = low.points[0]
+        rise = foot - low.points[min(len(low.points) - 1, round(RISES_CM * scale))]
+        if (
+            piece.length > RISES_CM * scale
+            and low.ends[0] is not End.LEAF
+            and abs(foot[0] - x) > BESIDE_CM * scale
+            and y - foot[1] < FOOT_CM * scale
+            and abs(rise[0]) < UPRIGHT * rise[1]
+            and float(np.median(piece.strength)) > ALIKE * strength
+            and float(np.median(piece.width)) > ALIKE * width
+            and float(np.hypot(*(chain.points - foot).T).min()) > BESIDE_CM * scale
+        ):
+            return True
+    return False
 
 
 def beyond_px(line: FloatArray, strands: Strands, px_per_cm: float) -> tuple[float, float]:

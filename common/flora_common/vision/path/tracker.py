@@ -192,6 +192,8 @@ class PathTracker:
         )
         sure = before is not None or fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
         unsure = "" if sure else "another part of the plant may as well be the stem"
+        if doubts.another_stem(fit.chain, strands, self.camera):
+            unsure = "something else rises beside the anchor as a stem does"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
         return self._reading(final, _State(belief, turn, elsewhere, sure), evidence, doubt, unsure)
 
