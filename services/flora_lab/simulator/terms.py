@@ -31,27 +31,9 @@ from flora_common.runs import LampsSection
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import (
-    CAPACITY,
-    EARLY_CM,
-    LATE_CM,
-    LONGEST_STEP_H,
-    along,
-    directions,
-    in_lanes,
-    jit,
-    points_lane,
-    whole_registers,
-)
-from flora_lab.simulator.tropism import (
-    LIGHT_HALF,
-    MATURE,
-    MATURE_EDGE_CM,
-    PROPRIO,
-    Form,
-    TropismLaw,
-    driven_step_lane,
-)
+from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane
+from flora_lab.simulator.sag import elastic_bends, straightened
+from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
 
@@ -72,16 +54,11 @@ _ADAPTED, _CLOCK, _LINE = 2, 3, 4
 hours of which the delay line was told; the delay line, one row of lamp levels per five minutes."""
 MEMORY: Final = (_LINE + _SLOTS, 2)
 
-SOFTNESS_CM: Final = 5.0
-"""E-fold of elastic softness with distance from the tip; of the modulus it is 5.0 cm (3.5-6.3), Ohad et al., 54 plants.
-How far from the tip a stem still bends by growing is another matter, and fitted."""
 _DAY_H: Final = 24.0
 _LIT: Final = 1e-6
 _ROUNDING: Final = 1e-9
 """Parts of five minutes that sums of steps may be off."""
 _LEAST_GROWTH: Final = 0.02
-_MOST_SAG: Final = 0.5
-"""The elastic bend of one joint, rad, beyond which no stem is taken to go in one step."""
 
 
 @inlined
@@ -138,45 +115,6 @@ def _growth_factor(time_h: float, warmth_c: float, t: Array) -> float:
     return float(max(_LEAST_GROWTH, rhythm * fast_exp(t[PER_DEGREE] * warmth_c)))
 
 
-@inlined
-def _elastic(
-    length: Array, angle: Array, n: int, softness_cm: float, sag: float, deep: Array, soft: Array, out: Array
-) -> None:
-    """The elastic bend of each joint under the weight above it, rad; ``out`` is written.
-
-    Also written, of each joint: ``deep``, how far below the tip it is, cm, and ``soft``, how soft, 1 at the tip.
-    """
-    arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    total = along(length, n, arc, reach)
-    directions(length, angle, n, sin, cos, x, y)
-    for j in range(whole_registers(n)):
-        deep[j] = total - arc[j]
-        soft[j] = fast_exp(-deep[j] / softness_cm)
-    weight = lean = 0.0
-    for i in range(n):
-        j = n - 1 - i
-        start_x = x[j] - sin[j] * length[j]
-        weight += length[j]
-        lean += length[j] * (x[j] - 0.5 * sin[j] * length[j])
-        bend = sag * reach[j] * soft[j] * (lean - weight * start_x)
-        out[j] = min(max(bend, -_MOST_SAG), _MOST_SAG)
-
-
-@inlined
-def _taken(n: int, p: Array, elastic: Array, deep: Array, soft: Array, bend_h: float, out: Array) -> None:
-    """What proprioception takes of an elastic bend in a step, as if growth had made it, rad; ``out`` is written.
-
-    Tissue that grows straightens what growth has bent. Elastic bend it cannot grow away: there is always as much of it
-    as there is weight, so that it has to be given back.
-    """
-    for j in range(whole_registers(n)):
-        out[j] = soft[j] / (1.0 + fast_exp((deep[j] - p[MATURE]) / MATURE_EDGE_CM)) * bend_h * p[PROPRIO]
-    for j in range(n):
-        out[j] *= elastic[j]
-
-
 @jit
 def extended_step_lane(
     length: Array,
@@ -213,8 +151,8 @@ def extended_step_lane(
     before, taken = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     deep, soft = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     if t[SAG] != 0.0:
-        _elastic(length, angle, n, SOFTNESS_CM, t[SAG], deep, soft, before)
-        _taken(n, p, before, deep, soft, dt_h * activity, taken)
+        elastic_bends(length, angle, n, t[SAG], deep, soft, before)
+        straightened(n, p, before, deep, soft, dt_h * activity, taken)
     segments = driven_step_lane(
         length,
         angle,
@@ -235,7 +173,7 @@ def extended_step_lane(
     # A step in which segments were split has no elastic part: joints before and after it are others.
     if t[SAG] != 0.0 and segments == n:
         now = scratch(np.float64, CAPACITY)
-        _elastic(length, angle, n, SOFTNESS_CM, t[SAG], deep, soft, now)
+        elastic_bends(length, angle, n, t[SAG], deep, soft, now)
         turn = 0.0
         for j in range(n):
             turn += now[j] - before[j] + taken[j]
