@@ -56,8 +56,8 @@ def test_a_controller_is_sent_through_the_rig_and_judged(tmp_path: Path, capsys:
     track = read_track(run.track_csv)
     judged = judge(track.time_s, track.points_cm, run.read_run_file().target_or_none(), None, hours=1.0)
     assert judged.fitness_at_stop == pytest.approx(trial["fitness_at_end"])
-    # its lamps were the network's, once a picture had told which part of the seedling is the stem: the tip is left of the
-    # target, so the right one shone
+    # its lamps were the network's, once a picture had told which part of the seedling is the stem: the tip is left of
+    # the target, so the right one shone
     assert set(track.light[2:]) == {"right"}
     assert cv2.imdecode(np.fromfile(folder / "strip.jpg", np.uint8), cv2.IMREAD_COLOR).shape[1] > 400
 
