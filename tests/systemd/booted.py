@@ -157,7 +157,11 @@ class Machine:
         began_s = time.monotonic()
         with self.console.open("ab") as log:
             self._nspawn = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        self.wait(lambda: self._find_leader() and self._answers(), within_s=BOOTED_WITHIN_S, what="systemd")
+        try:
+            self.wait(lambda: self._find_leader() and self._answers(), within_s=BOOTED_WITHIN_S, what="systemd")
+        except AssertionError as problem:
+            tail = self.console.read_text(errors="replace").strip().splitlines()[-1:]
+            raise NotHere(f"the tree does not come up under systemd-nspawn ({problem}): {''.join(tail)}") from problem
         said = self.run("systemctl", "is-system-running", "--wait", check=False).stdout.strip()
         self.boot_s = time.monotonic() - began_s
         return said
