@@ -6,7 +6,7 @@ import contextlib
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,14 +39,21 @@ def waited_for(process: subprocess.Popen[str]) -> str:
     try:
         _, said = process.communicate()
     except BaseException:
+        end_all([process])
+        raise
+    return said or ""
+
+
+def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
+    """Tell child processes to stop, all at once, and wait for them; one that does not stop in time is killed."""
+    for process in processes:
         process.terminate()
+    for process in processes:
         try:
             process.communicate(timeout=CHILD_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-        raise
-    return said or ""
 
 
 def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any], remedy: str) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from noise_courses import first_order
 
 from flora_common.runs import LEVELS, LampsSection, Light, track_text
 from flora_lab.diagnose.joint import Base
@@ -57,13 +58,7 @@ def turns(hours: float, turns_h: float, first: Light = "left", step_s: float = S
 
 def red_noise(rng: np.random.Generator, steps: int, memory_h: float, step_s: float = STEP_S) -> Array:
     """A course of variance 1 that forgets within ``memory_h``, shape (steps,)."""
-    keep = np.exp(-step_s / 3600.0 / memory_h)
-    out = np.empty(steps)
-    now = rng.standard_normal()
-    for k in range(steps):
-        out[k] = now
-        now = keep * now + np.sqrt(1.0 - keep**2) * rng.standard_normal()
-    return out
+    return np.asarray(first_order(rng, steps, np.exp(-step_s / 3600.0 / memory_h)))
 
 
 def change_of(effects: Effects, forms: Mapping[str, int] | None = None) -> Change:

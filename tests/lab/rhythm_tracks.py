@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from noise_courses import first_order
 
 from flora_lab.rhythm.tip_track import TipTrack
 
@@ -14,13 +15,7 @@ Array = Any
 
 def forgetting(rng: np.random.Generator, steps: int, memory: float) -> Array:
     """A course of variance 1, about, that forgets within so many steps, shape (steps,)."""
-    keep = np.exp(-1.0 / memory)
-    out = np.empty(steps)
-    now = rng.standard_normal()
-    for k in range(steps):
-        out[k] = now
-        now = keep * now + np.sqrt(1.0 - keep**2) * rng.standard_normal()
-    return out
+    return first_order(rng, steps, np.exp(-1.0 / memory))
 
 
 def noise(rng: np.random.Generator, steps: int, kind: int) -> Array:

@@ -14,7 +14,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
-from flora_lab.run_tracks import RunTrack, load_run, load_runs
+from flora_lab.run_tracks import RunTrack, load_runs
 from flora_lab.simulator.measured import STEP_S, MeasuredRun, in_steps
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
@@ -123,11 +123,12 @@ def read_reference(folder: Path, measured: Runs) -> Runs:
             "plants differ"
         )
     own = {track.sha256: track for track in measured.tracks}
-    for path in inner:
-        twin = own.get(load_run(path).sha256)
+    reference = read_runs(inner)
+    for path, track in zip(inner, reference.tracks, strict=True):
+        twin = own.get(track.sha256)
         if twin is not None:
             raise BadInput(f"{path}: is also to be diagnosed ({twin.file}); a run cannot be its own reference")
-    return read_runs(inner)
+    return reference
 
 
 def _step_s(track: RunTrack) -> float:

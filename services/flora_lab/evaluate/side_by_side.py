@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVar
 
-from flora_lab.stopped_work import CHILD_ENDS_WITHIN_S
+from flora_lab.stopped_work import end_all
 
 T = TypeVar("T")
 _LOOK_EVERY_S: Final = 0.1
@@ -44,16 +44,5 @@ def side_by_side(
             running.popleft()
             ended(piece, process, said or "")
     except BaseException:
-        _end([process for _, process in running])
+        end_all([process for _, process in running])
         raise
-
-
-def _end(processes: Sequence[subprocess.Popen[str]]) -> None:
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        try:
-            process.communicate(timeout=CHILD_ENDS_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()

@@ -125,11 +125,9 @@ def softplus(x: float) -> float:
 
 
 @inlined
-def sense(length: Array, angle: Array, n: int, told: Array) -> float:
-    """Write what a network is told of a stem: angles at the nodes, and its length; returns that length, cm."""
-    total = length_of(length, n)
-    _look(length, angle, n, total, told)
-    return total
+def sense(length: Array, angle: Array, n: int, told: Array) -> None:
+    """Write what a network is told of a stem: angles at the nodes, and its length."""
+    _look(length, angle, n, length_of(length, n), told)
 
 
 @inlined

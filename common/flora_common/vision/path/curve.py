@@ -119,24 +119,8 @@ def with_tip(stem: Stem, safe: int, beyond: FloatArray, sampler: Sampler, px_per
         sampler: of the picture.
         px_per_cm: scale.
     """
-    raw = np.concatenate([stem.line[: safe + 1], beyond])
-    s_raw = arc_length(raw)
-    keep = np.concatenate([[True], np.diff(s_raw) > 1e-6])
-    raw, s_raw = raw[keep], s_raw[keep]
-    s = _steps(s_raw[-1])
-    rough = np.column_stack([np.interp(s, s_raw, raw[:, k]) for k in range(2)])
-    old = arc_length(stem.line)
-    width = np.interp(s, old, stem.width)
-    known = np.interp(s, old[: safe + 1], stem.seen[: safe + 1].astype(float)) > 0.5
-    return _refined(
-        rough,
-        known | (s > old[safe]),
-        width,
-        sampler,
-        px_per_cm,
-        apex_from=float(old[safe]),
-        bends_from=stem.bends_from,
-    )
+    rough, known, width, kept = _going_on(stem, safe, beyond)
+    return _refined(rough, known, width, sampler, px_per_cm, apex_from=kept, bends_from=stem.bends_from)
 
 
 def round_bend(stem: Stem, safe: int, band: FloatArray, sampler: Sampler, px_per_cm: float) -> Stem:
@@ -149,14 +133,23 @@ def round_bend(stem: Stem, safe: int, band: FloatArray, sampler: Sampler, px_per
         sampler: of the picture.
         px_per_cm: scale.
     """
-    raw = np.concatenate([stem.line[: safe + 1], band])
-    s_raw, old = arc_length(raw), arc_length(stem.line)
+    rough, known, width, kept = _going_on(stem, safe, band)
+    bends_from = max(0.0, kept - BEND_BEGINS_CM * px_per_cm)
+    return _refined(rough, known, width, sampler, px_per_cm, bends_from=bends_from)
+
+
+def _going_on(stem: Stem, safe: int, beyond: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray, float]:
+    """A line up to a point and then along given places, in even steps: places, which count as seen, widths; and how far
+    along, px, that point is."""
+    raw = np.concatenate([stem.line[: safe + 1], beyond])
+    s_raw = arc_length(raw)
+    keep = np.concatenate([[True], np.diff(s_raw) > 1e-6])
+    raw, s_raw = raw[keep], s_raw[keep]
     s = _steps(s_raw[-1])
     rough = np.column_stack([np.interp(s, s_raw, raw[:, k]) for k in range(2)])
+    old = arc_length(stem.line)
     known = np.interp(s, old[: safe + 1], stem.seen[: safe + 1].astype(float)) > 0.5
-    bends_from = max(0.0, float(old[safe]) - BEND_BEGINS_CM * px_per_cm)
-    width = np.interp(s, old, stem.width)
-    return _refined(rough, known | (s > old[safe]), width, sampler, px_per_cm, bends_from=bends_from)
+    return rough, known | (s > old[safe]), np.interp(s, old, stem.width), float(old[safe])
 
 
 def _steps(length: float) -> FloatArray:
