@@ -27,11 +27,11 @@ from signing_keys import ADA, TIP_ONLY, signed, trusted
 TARGET, OBSTACLE = Target(-5.12, 17.9), Obstacle(-6.3, 12.5)
 
 
-def stem(tick: int, x_cm: float | None = 0.0) -> Stem:
-    """A straight stem of 10 cm whose tip is at ``x_cm``; None is a tick without one."""
+def stem(tick: int, x_cm: float | None = 0.0, y_cm: float = 10.0) -> Stem:
+    """A straight stem whose tip is at this place; None is a tick without one."""
     if x_cm is None:
         return Stem(tick=tick, time_s=tick * 300.0, outcome="no_stem")
-    points = tuple((x_cm * i / 9, 10.0 * i / 9) for i in range(10))
+    points = tuple((x_cm * i / 9, y_cm * i / 9) for i in range(10))
     return Stem(tick=tick, time_s=tick * 300.0, outcome="ok", points_cm=points)
 
 
@@ -46,9 +46,9 @@ def diverging(*, serial: int) -> LoadedController:
     return parse_controller(signed_bytes(table | {"name": "diverging", "serial": serial}, ADA), where="x")
 
 
-def tip_only(*, serial: int, name: str = "tip-only") -> LoadedController:
+def tip_only(*, serial: int, name: str = "tip-only", **changes: Any) -> LoadedController:
     """Left where the tip is right of the target's x, else right."""
-    return signed(TIP_ONLY, ADA, serial=serial, name=name)
+    return signed(TIP_ONLY, ADA, serial=serial, name=name, **changes)
 
 
 class Rig:
@@ -89,8 +89,8 @@ class Rig:
         if has_changed:
             self.core.use(self.succession.lineup)
 
-    def tick(self, number: int, x_cm: float | None = 0.0) -> tuple[LightCommand, ControllerState]:
-        answer = self.core.on_stem(stem(number, x_cm), note=self.succession.note)
+    def tick(self, number: int, x_cm: float | None = 0.0, y_cm: float = 10.0) -> tuple[LightCommand, ControllerState]:
+        answer = self.core.on_stem(stem(number, x_cm, y_cm), note=self.succession.note)
         assert answer is not None
         self._follow(self.succession.after_tick(self.core.shadow_ticks, self.core.failures))
         write_record(self.folder / "controller.json", self.core.record)

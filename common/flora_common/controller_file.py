@@ -9,6 +9,8 @@ One JSON object, at most 1 MB::
      "task": {"name": "left", "target": {"x_cm": -5.12, "y_cm": 17.9, "radius_cm": 2.0},
               "obstacles": [{"x_cm": -6.3, "y_cm": 12.5, "width_cm": 7.0, "height_cm": 3.0}]},
      "provenance": {"simulator_sha256": "…", "seed": 1},
+     "stem_range": {"left_cm": -14.2, "right_cm": 14.1, "lowest_tip_cm": 6.2, "highest_tip_cm": 21.1,
+                    "shortest_cm": 6.5, "longest_cm": 27.3},
      "serial": 1795344000, "expires": "2027-01-01T00:00:00Z",
      "signature": {"algorithm": "ed25519", "key": "…", "value": "…"}}
 
@@ -16,6 +18,9 @@ The network is fed ``(x - offset) / scale`` for each entry of ``inputs``, in tha
 :data:`INPUT_NAMES`: ten points, target, and the obstacle as its four edges (left, bottom, right, top), all in cm; a
 controller may leave out those that it does not use. Its single output C means left where C <= 0.5, otherwise right
 (Wahby et al. 2018, section "Evolutionary approach").
+
+``stem_range`` is how far the simulated plants reached that the network was evolved with; a rig whose plant is outside
+of it goes back to the controller before. Without it (or null) no stem is outside.
 
 ``serial`` orders the files of one key: a rig that has accepted one takes no other whose serial is not higher. From
 ``expires`` on a rig accepts the file no more. Both may be left out (0, never), and so may ``signature``
@@ -44,6 +49,7 @@ from flora_common.network import Network
 from flora_common.network_export import NetworkExport, Number, Strict, network_from
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_common.stem_range import StemRange
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert
 
@@ -106,6 +112,7 @@ class ControllerFile(Strict, frozen=True):
     output_rule: Literal["at most 0.5 is left"]
     task: Task
     provenance: dict[Text, Text | int | float | bool] = msgspec.field(default_factory=dict)
+    stem_range: StemRange | None = None
     serial: Serial = 0
     expires: UtcTime | None = None
     signature: Signature | None = None
@@ -194,6 +201,8 @@ def parse_controller(data: bytes, *, where: str) -> LoadedController:
         raise BadController(f"{where}: network is `{str(kind)[:40]}`; only a feedforward one can be evaluated")
     file = convert(table, ControllerFile, where=where, error=BadController)
     _check_inputs(file, where)
+    if file.stem_range is not None and not file.stem_range.is_ordered:
+        raise BadController(f"{where}: `stem_range` has a least value above its greatest")
     if file.expires is not None and file.expires.utcoffset() != timedelta(0):
         raise BadController(f"{where}: `expires` is not in UTC; write it as 2027-01-01T00:00:00Z")
     return LoadedController(file, network_from(file.network, where), sha256_of_bytes(data), data)

@@ -27,10 +27,21 @@ def check_file(argv: Sequence[str]) -> int:
         links = sum(len(node.links) for node in network.nodes)
         print(
             f"{options.file}: good; `{file.name}`, task `{file.task.name}`, {len(network.inputs)} inputs, "
-            f"{len(network.nodes)} nodes, {links} links, sha256 {loaded.sha256[:12]}; {_signed(loaded, options.keys)}"
+            f"{len(network.nodes)} nodes, {links} links, {_range(loaded)}, sha256 {loaded.sha256[:12]}; "
+            f"{_signed(loaded, options.keys)}"
         )
 
     return run_cli("flora-controller", work)
+
+
+def _range(loaded: LoadedController) -> str:
+    met = loaded.file.stem_range
+    if met is None:
+        return "no stem range"
+    return (
+        f"stems from x {met.left_cm:g} to {met.right_cm:g} cm, tips {met.lowest_tip_cm:g} to {met.highest_tip_cm:g} cm "
+        f"high, {met.shortest_cm:g} to {met.longest_cm:g} cm long"
+    )
 
 
 def _signed(loaded: LoadedController, keys_dir: Path | None) -> str:

@@ -3,8 +3,9 @@
 The same tick asked twice gives the same answer and counts once. Without a usable stem the last light is held for some
 ticks, then the lamps alternate by time; a command given that way always says so.
 
-A controller that has another one behind it must answer every stem and must not flicker. One that fails is given up, and
-the one behind it decides in the same tick. One in shadow is asked the same, and lights nothing.
+A controller that has another one behind it must answer every stem and must not flicker, and the stem must stay in the
+range of those that it was evolved with. One that fails is given up, and the one behind it decides in the same tick. One
+in shadow is asked the same, and lights nothing.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_controller.acceptance import TaskRule, Trust
 from flora_controller.lineup import Failure, Lineup, identity_of
 from flora_controller.record import Record
-from flora_controller.shadow import MOST_SWITCHES_PER_H, Shadow, Watch, failure
+from flora_controller.shadow import (
+    MOST_SWITCHES_PER_H,
+    MOST_TICKS_OUTSIDE,
+    RANGE_MARGIN_CM,
+    Shadow,
+    Watch,
+    failure,
+)
 from flora_controller.steering import (
     Decision,
     Steering,
@@ -66,6 +74,12 @@ class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     most_switches_per_h: Annotated[int, msgspec.Meta(ge=1, le=1000)] = MOST_SWITCHES_PER_H
     """Switches within an hour beyond which an offered controller is given up."""
+
+    range_margin_cm: Annotated[float, msgspec.Meta(ge=0.0, le=500.0)] = RANGE_MARGIN_CM
+    """How far a stem may go beyond those that a controller was evolved with before it is outside their range."""
+
+    most_ticks_outside: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = MOST_TICKS_OUTSIDE
+    """Stems in a row outside that range beyond which an offered controller is given up; one is never enough."""
 
     open_loop: OpenLoopSection = OpenLoopSection()
     tip_follower: TipFollowerSection = TipFollowerSection()
@@ -174,8 +188,9 @@ class ControllerCore:
     def _decide(self, stem: Stem, points: FloatArray | None) -> tuple[Decision, bool]:
         decision = self._ask(stem, points)
         while points is not None and self._lineup.before:
-            watch = self.record.watch.after(decision, stem.time_s)
-            why = failure(decision, watch, self._section.most_switches_per_h)
+            outside = self._outside(self.steering, points)
+            watch = self.record.watch.after(decision, stem.time_s, outside)
+            why = self._failure(decision, watch, outside)
             if not why:
                 self.record = msgspec.structs.replace(self.record, watch=watch)
                 break
@@ -206,14 +221,37 @@ class ControllerCore:
         if lineup.shadow is None or trial is None or points is None:
             return None
         decision = lineup.shadow.decide(View(stem.time_s, points, self.record.light), {})
-        trial = trial.after(decision, stem.time_s, shone)
-        why = failure(decision, trial.watch, self._section.most_switches_per_h)
+        outside = self._outside(lineup.shadow, points)
+        trial = trial.after(decision, stem.time_s, outside, shone)
+        why = self._failure(decision, trial.watch, outside)
         if why:
             self.failures.append(Failure(lineup.shadow.name, trial.sha256, why, in_shadow=True))
             self.use(Lineup(lineup.steering, lineup.before))
             return None
         self.record = msgspec.structs.replace(self.record, shadow=trial)
         return decision
+
+    def _outside(self, steering: Steering, points: FloatArray) -> str:
+        """How a stem is outside of what this rule was evolved with, in a clause; empty where it is not.
+
+        From the stop height on the run is over, and growing on is no failure.
+        """
+        if steering.stem_range is None or points[-1, 1] >= self._section.stop_height_cm:
+            return ""
+        far_cm, way = steering.stem_range.beyond(points)
+        if far_cm <= self._section.range_margin_cm:
+            return ""
+        return f"{far_cm:.1f} cm {way} than any that it was evolved with"
+
+    def _failure(self, decision: Decision, watch: Watch, outside: str) -> str:
+        section = self._section
+        return failure(
+            decision,
+            watch,
+            outside,
+            most_switches_per_h=section.most_switches_per_h,
+            most_ticks_outside=section.most_ticks_outside,
+        )
 
     def _blindly(self, time_s: float, why: str, light: Light | None, blind_ticks: int) -> Decision:
         since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_REASON - 80]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from flora_common.controller_file import LEFT_AT_MOST, LoadedController
 from flora_common.network import NotFinite
 from flora_common.shapes import Obstacle, Target
+from flora_common.stem_range import StemRange
 from flora_controller.steering import Decision, Memory, View
 
 
@@ -24,6 +25,10 @@ class Evolved:
     @property
     def sha256(self) -> str:
         return self.loaded.sha256
+
+    @property
+    def stem_range(self) -> StemRange | None:
+        return self.loaded.file.stem_range
 
     def decide(self, view: View, memory: Memory) -> Decision:
         if view.points_cm is None:

@@ -18,6 +18,7 @@ from flora_common.geometry import FloatArray, clearance_cm
 from flora_common.open_loop import OTHER, OpenLoopSection, Side, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
+from flora_common.stem_range import StemRange
 
 Memory = Mapping[str, float]
 
@@ -87,6 +88,7 @@ class Steering(Protocol):
         name: for people and records.
         sha256: of its file; empty for built-in ones.
         needs_stem: whether it can say nothing without a stem.
+        stem_range: the stems that it was evolved with; None where that is not known, or no matter.
     """
 
     @property
@@ -97,6 +99,9 @@ class Steering(Protocol):
 
     @property
     def needs_stem(self) -> bool: ...
+
+    @property
+    def stem_range(self) -> StemRange | None: ...
 
     def decide(self, view: View, memory: Memory) -> Decision: ...
 
@@ -113,6 +118,7 @@ class OpenLoop:
     name: str = "open-loop"
     sha256: str = ""
     needs_stem: bool = False
+    stem_range: StemRange | None = None
 
     def decide(self, view: View, memory: Memory) -> Decision:
         side = open_loop_side(view.time_s, self.section)
@@ -126,6 +132,7 @@ class Dark:
     name: str = "dark"
     sha256: str = ""
     needs_stem: bool = False
+    stem_range: StemRange | None = None
 
     def decide(self, view: View, memory: Memory) -> Decision:
         return Decision("dark", 0.0, "dark by configuration")
@@ -140,6 +147,7 @@ class TipFollower:
     name: str = "tip-follower"
     sha256: str = ""
     needs_stem: bool = True
+    stem_range: StemRange | None = None
 
     def decide(self, view: View, memory: Memory) -> Decision:
         if view.points_cm is None:
@@ -163,6 +171,7 @@ class Waypoint:
     name: str = "waypoint"
     sha256: str = ""
     needs_stem: bool = True
+    stem_range: StemRange | None = None
 
     def decide(self, view: View, memory: Memory) -> Decision:
         if view.points_cm is None:

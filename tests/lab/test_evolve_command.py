@@ -21,7 +21,9 @@ from flora_lab.evolve import plan
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import run_episodes
 from flora_lab.evolve.evolution_folder import read_evolution
+from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.kept_runs import kept_path
+from flora_lab.evolve.reach import reach
 from flora_lab.main import main
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.growing import DataRange
@@ -145,6 +147,15 @@ def test_champions_say_where_they_are_from(evolved: Path, simulator: Path) -> No
         assert (provenance["seed"], provenance["run"]) == (1, number)
         assert provenance["fitness"] == run.best_fitness
         assert [provenance[f"fitness {scenario.name}"] for scenario in TASK.scenarios] == run.by_scenario
+
+
+def test_champions_say_which_stems_the_evolution_met(evolved: Path, simulator: Path) -> None:
+    evolution = read_evolution(evolved)
+    (met,) = {load_controller(path).file.stem_range for path in evolution.controllers}
+
+    assert met == reach(load(simulator), TASK, Individuals())
+    for episode in evolution.episodes:
+        assert [met.beyond(stem)[0] for stem in episode.stems_cm] == [0.0] * len(episode.stems_cm)
 
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "SIGINT"])

@@ -170,6 +170,29 @@ def test_one_that_flickers_is_given_up_and_everybody_is_told(rig: Rig) -> None:
     assert "this rig gave it up before" in again.error
 
 
+def test_one_whose_plant_leaves_its_range_is_given_up_and_everybody_is_told(rig: Rig) -> None:
+    reached = {"left_cm": -8.0, "right_cm": 8.0, "lowest_tip_cm": 6.0, "highest_tip_cm": 18.0}
+    lengths = {"shortest_cm": 6.5, "longest_cm": 20.0}
+    sent = rig.publish(rig.write(tip_only(serial=1, name="ranged", stem_range=reached | lengths).data), "--json")
+    told = json.loads(sent.out)
+    states = [rig.see(x)[1] for x in (-9.0, -14.5, -9.0, -14.5, -14.5, -14.5)]
+    returned = rig.answer("returned")
+    health = rig.heard(lambda m: isinstance(m, Health) and m.source == "flora-controller" and m.state == "degraded")
+    again = rig.publish(rig.bus.folder / "new.controller.json")
+
+    assert (sent.status, told["stage"], told["steers"]) == (0, "steering", "ranged")
+    assert [s.controller for s in states] == ["ranged"] * 5 + ["tip-follower"]
+    said = (
+        "while it steered: 3 stems in a row were outside its range, this one 6.5 cm farther left than any that it was "
+    )
+    said += "evolved with; at most 2 are allowed"
+    assert returned.reason == said
+    assert (returned.offer, returned.steers) == (told["offer"], "tip-follower")
+    assert states[-1].reason == health.reason == f"gave up `ranged` {said}"
+    assert again.status == 2
+    assert "this rig gave it up before" in again.error
+
+
 def test_killed_in_the_shadow_and_while_the_sender_waits_nothing_is_lost(rig: Rig) -> None:
     sender = rig.begin(rig.write(tip_only(serial=1, name="new").data), "--shadow", "3", "--wait-steering")
     rig.answer("shadowing")

@@ -15,6 +15,7 @@ from flora_common.messages import LightCommand, Stem
 from flora_common.messages.catalogue import Outcome
 from flora_common.network import Network
 from flora_common.shapes import Obstacle, Target
+from flora_common.stem_range import StemRange
 from flora_controller.core import ControllerCore, ControllerSection, usable_points
 from flora_controller.evolved import Evolved
 from flora_controller.lineup import Lineup
@@ -262,6 +263,20 @@ def test_a_network_steers_by_the_papers_rule() -> None:
     assert left_of_it.light == "right"
     assert right_of_it.output == pytest.approx(1 / (1 + math.exp(5 * 0.12)))
     assert not right_of_it.blind
+
+
+def test_a_network_with_nothing_behind_it_steers_on_outside_its_range() -> None:
+    narrow = StemRange(
+        left_cm=-1.0, right_cm=1.0, lowest_tip_cm=9.0, highest_tip_cm=11.0, shortest_cm=9.0, longest_cm=11.0
+    )
+    loaded = evolved().loaded
+    ranged = LoadedController(
+        msgspec.structs.replace(loaded.file, stem_range=narrow), loaded.network, loaded.sha256, loaded.data
+    )
+    made = core(Evolved(ranged, TARGET, OBSTACLE, "tip_only.controller.json"))
+
+    assert [command(made, stem(tick, x_cm=9.0)).light for tick in range(1, 9)] == ["left"] * 8
+    assert made.failures == []
 
 
 def test_exactly_one_half_is_left() -> None:

@@ -21,6 +21,7 @@ from flora_common.controller_file import (
 from flora_common.errors import BadController
 from flora_common.network import NotFinite
 from flora_common.shapes import Obstacle, Target
+from flora_common.stem_range import StemRange
 from flora_controller.main import main
 
 GOLDEN = Path(__file__).parent.parent / "golden" / "controllers"
@@ -53,6 +54,20 @@ def test_bad_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 def test_check_says_what_a_good_file_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(EXPORT)]) == 0
     assert "26 inputs, 4 nodes" in capsys.readouterr().out
+
+
+def test_a_range_of_stems_may_be_there_and_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = {"left_cm": -8.5, "right_cm": 9.0, "lowest_tip_cm": 6.2, "highest_tip_cm": 21.0}
+    lengths = {"shortest_cm": 6.5, "longest_cm": 24.0}
+    path = tmp_path / "ranged.controller.json"
+    path.write_text(json.dumps(json.loads(TIP_ONLY.read_text()) | {"stem_range": told | lengths}))
+
+    assert load_controller(TIP_ONLY).file.stem_range is None
+    assert load_controller(path).file.stem_range == StemRange(**told, **lengths)
+    assert [main(["check", str(file)]) for file in (TIP_ONLY, path)] == [0, 0]
+    without, ranged = capsys.readouterr().out.splitlines()
+    assert "no stem range" in without
+    assert "stems from x -8.5 to 9 cm, tips 6.2 to 21 cm high, 6.5 to 24 cm long" in ranged
 
 
 def test_a_network_exported_by_neat_python_gives_neat_pythons_answers() -> None:

@@ -32,6 +32,7 @@ from flora_common.network import NotFinite
 from flora_common.network_export import FunctionName, NetworkExport, NetworkLink, NetworkNode, Topology
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import Obstacle, Target
+from flora_common.stem_range import StemRange
 from flora_lab.evolve.task import Task
 
 SCALE_CM: Final = 25.0
@@ -153,6 +154,7 @@ def controller_bytes(
     provenance: Mapping[str, str | int | float | bool],
     *,
     serial: int = 0,
+    stem_range: StemRange | None = None,
 ) -> bytes:
     """A controller file, not signed. The same arguments give the same bytes.
 
@@ -162,6 +164,7 @@ def controller_bytes(
         task: that it was evolved for.
         provenance: where it is from.
         serial: grows from file to file of one signing key; signing sets it anew.
+        stem_range: of the stems that it was evolved with; where it is None a rig goes on with any stem.
     """
     file = ControllerFile(
         format="flora-controller",
@@ -172,6 +175,7 @@ def controller_bytes(
         output_rule=OUTPUT_RULE,
         task=task_of(task),
         provenance=dict(provenance),
+        stem_range=stem_range,
         serial=serial,
     )
     return (json.dumps(msgspec.to_builtins(file), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

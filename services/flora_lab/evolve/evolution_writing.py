@@ -15,6 +15,7 @@ from neat.nn import FeedForwardNetwork
 from flora_common import files
 from flora_common.controller_file import parse_controller
 from flora_common.runs import track_text
+from flora_common.stem_range import StemRange
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
 from flora_lab.evolve.controllers import FromFile, controller_bytes, export_of
@@ -31,6 +32,7 @@ from flora_lab.evolve.evolution_folder import (
 from flora_lab.evolve.neat_checkpoint import engine_from
 from flora_lab.evolve.one_run import RunState, Took
 from flora_lab.evolve.plan import Plan
+from flora_lab.evolve.reach import reach
 from flora_lab.evolve.task import averages
 from flora_lab.evolve.task_file import task_text
 from flora_lab.simulator.measured import STEP_S
@@ -72,8 +74,8 @@ def history_of(states: Sequence[RunState]) -> History:
     )
 
 
-def champion(plan: Plan, state: RunState) -> Champion:
-    """A run's best genome as a controller file, with where it is from."""
+def champion(plan: Plan, state: RunState, stem_range: StemRange) -> Champion:
+    """A run's best genome as a controller file, with where it is from, and the stems that the evolution has met."""
     engine = engine_from(state.engine, plan.settings)
     network = export_of(FeedForwardNetwork.create(engine.best, engine.config))
     when = int(np.argmax([row.best_fitness for row in state.history]))
@@ -104,7 +106,7 @@ def champion(plan: Plan, state: RunState) -> Champion:
     for scenario, fitness in zip(plan.task.scenarios, row.by_scenario, strict=True):
         provenance[f"fitness {scenario.name}"] = fitness
     name = f"{plan.task.name}-{plan.seed}-{state.number:02d}"
-    data = controller_bytes(name, network, plan.task, provenance)
+    data = controller_bytes(name, network, plan.task, provenance, stem_range=stem_range)
     file = f"{folder.CONTROLLERS}/run-{state.number:02d}.controller.json"
     entry = RunEntry(
         number=state.number,
@@ -145,7 +147,8 @@ def write_evolution(
         DiskFull: no room.
     """
     folder.check_output(path, force=force)
-    champions = [champion(plan, state) for state in states]
+    stem_range = reach(plan.parcel.simulator, plan.task, plan.individuals)
+    champions = [champion(plan, state, stem_range) for state in states]
     best = max(champions, key=lambda one: one.entry.best_fitness)
     steered = FromFile(parse_controller(best.data, where=best.entry.controller))
     courses = [run_episode(steered, plan.parcel.simulator, plan.task, scenario) for scenario in plan.task.scenarios]

@@ -1,0 +1,51 @@
+"""How far the plants of an evolution can reach at all, for the rig to know when its own plant has gone elsewhere.
+
+Any controller does something between lighting one lamp for ever and lighting the other, and evolution tries both, for
+most of its first networks never change their minds. So the reach is that of the same plants, from the same start to the
+same end, under the left lamp alone, under the right one alone, and under both in turn as in the paper's dataset
+experiments. No obstacle is in their way: where one stands, a stem can be led past it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from flora_common.open_loop import PAPERS_TURNS, open_loop_side
+from flora_common.runs import LEVELS
+from flora_common.stem_range import StemRange, range_of
+from flora_lab.evolve.individuals import Individuals
+from flora_lab.evolve.task import Task
+from flora_lab.simulator.interface import Chance, Simulator
+from flora_lab.simulator.measured import STEP_S
+
+MOST_PLANTS: Final = 32
+"""Of drawn plants, the first so many are simulated: more would widen the range by less than any margin."""
+FARTHEST_CM: Final = 500.0
+"""A stem that goes farther is no plant any more, and told of no more."""
+
+
+def reach(simulator: Simulator[Any], task: Task, individuals: Individuals) -> StemRange:
+    """The range of stems that evolution can have met.
+
+    Args:
+        simulator: of the plant.
+        task: start and end; its scenarios do not matter.
+        individuals: the plants.
+    """
+    seeds = individuals.seeds()
+    plants = [None] if seeds is None else seeds[:MOST_PLANTS]
+    chance = None if seeds is None else Chance(np.repeat(np.array(plants), 3))
+    state = simulator.start(np.repeat(task.start_stem_cm[None], 3 * len(plants), axis=0), chance)
+    met = [task.start_stem_cm[None]]
+    running = np.ones(3 * len(plants), dtype=np.bool_)
+    for k in range(task.most_steps):
+        lights = [LEVELS["left"], LEVELS["right"], LEVELS[open_loop_side(k * STEP_S, PAPERS_TURNS)]]
+        state, stems = simulator.step(state, np.tile(np.array(lights), (len(plants), 1)), STEP_S)
+        running &= (np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2))  # written so that NaN fails it too
+        met.append(stems[running])
+        running &= stems[:, -1, 1] < task.stop_height_cm
+        if not running.any():
+            break
+    return range_of(np.concatenate(met))
