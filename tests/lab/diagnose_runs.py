@@ -4,7 +4,7 @@ known."""
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,6 +106,7 @@ def run_of(
     step_s: float = STEP_S,
     warm_c: Array | None = None,
     swing: tuple[float, float] | None = None,
+    besides: Mapping[str, Callable[[Array], Array]] | None = None,
 ) -> MeasuredRun:
     """A run of one plant.
 
@@ -119,6 +120,7 @@ def run_of(
         step_s: from row to row.
         warm_c: temperature, shape (steps,).
         swing: period in hours and amplitude of the tip in cm.
+        besides: what is added to the drives of these names, by hours since the start.
     """
     rng = np.random.default_rng([seed, 2])
     shone = (
@@ -133,6 +135,8 @@ def run_of(
     drives = {}
     for name, (drive, memory_h) in MEMORIES_H.items():
         course = chance.get(name, 0.0) * red_noise(rng, scene.steps, memory_h, step_s)[:, None]
+        if besides and drive in besides:
+            course += besides[drive](np.arange(scene.steps) * step_s / 3600.0)[:, None]
         drives[drive] = course if drive == "bias" else np.maximum(1.0 + course, 0.05)
     own = individual(seed) if traits is None else traits
     acting = change or Change()

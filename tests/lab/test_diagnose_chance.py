@@ -12,16 +12,15 @@ import scipy.optimize
 from diagnose_runs import TYPICAL, red_noise, scene_of
 
 from flora_lab.diagnose import chance
-from flora_lab.diagnose.chance import PARTS, covariances, of_swing, sizes_expected, sizes_of
+from flora_lab.diagnose.chance import MEASURED, PARTS, covariances, of_swing, sizes_expected, sizes_of
 from flora_lab.diagnose.rhythm import Swing
-from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.diagnose.scene import FEATURES, Lanes, Scene
 from flora_lab.effects.effect import Change
 
 Array = Any
 NAMES = [part.name for part in PARTS]
-GROUPS = {
-    drive: [i for i, part in enumerate(PARTS) if part.drive == drive] for drive in ("bias", "growth", "gain", "measure")
-}
+DRIVES = ("bias", "gradient", "growth", "gain", *MEASURED)
+GROUPS = {drive: [i for i, part in enumerate(PARTS) if part.drive == drive] for drive in DRIVES}
 
 
 @functools.cache
@@ -47,7 +46,8 @@ def test_covariances_are_symmetric_and_not_negative() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "sign"), [("wander_per_cm_h", 0.0), ("growth_slow_share", 1.0), ("gain_slow_share", 1.0)]
+    ("name", "sign"),
+    [("wander_per_cm_h", 0.0), ("gradient_per_cm_h", 0.0), ("growth_slow_share", 1.0), ("gain_slow_share", 1.0)],
 )
 def test_a_part_is_what_many_plants_scatter_by(name: str, sign: float) -> None:
     """Plants of the law are pushed about at random, step by step: covariances of their features, the long way round."""
@@ -78,7 +78,10 @@ def by_drive(sizes: Array) -> dict[str, float]:
     return {drive: float(np.sqrt((sizes[rows] ** 2) @ own[rows])) for drive, rows in GROUPS.items()}
 
 
-@pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0, 1.0), (3.0, 0.5, 2.0, 0.6), (0.5, 2.5, 0.5, 3.0)])
+@pytest.mark.parametrize(
+    "factors",
+    [(1.0,) * len(DRIVES), (3.0, 0.5, 0.5, 2.0, 0.6, 2.0, 2.0), (0.5, 2.0, 2.5, 0.5, 3.0, 1.5, 3.0)],
+)
 def test_sizes_are_found_again(factors: tuple[float, ...]) -> None:
     truth = sizes_expected()
     for factor, rows in zip(factors, GROUPS.values(), strict=True):
@@ -86,8 +89,10 @@ def test_sizes_are_found_again(factors: tuple[float, ...]) -> None:
     residuals, own = drawn(truth, 12, 5)
     none = [np.zeros_like(own[0][0])] * 12
     found = by_drive(sizes_of(residuals, own, none, 1.5 * sizes_expected()))
+    largest = max(by_drive(truth).values())
     for drive, wanted in by_drive(truth).items():
-        assert found[drive] == pytest.approx(wanted, rel=0.35), drive
+        # What hardly pushes the features beside the rest is hardly told.
+        assert found[drive] == pytest.approx(wanted, rel=0.35, abs=0.1 * largest), drive
 
 
 def test_what_is_known_besides_is_not_taken_for_chance() -> None:
@@ -136,10 +141,29 @@ def test_sizes_stay_within_what_is_possible() -> None:
     assert sum(by_drive(wild).values()) > 5.0 * sum(by_drive(sizes_expected()).values())
 
 
+@pytest.mark.parametrize("drive", MEASURED)
+def test_errors_of_a_measurement_are_of_one_point_or_of_the_whole_stem(drive: str) -> None:
+    own, together = scene(), parts()[GROUPS[drive][0]]
+    first = own.window == own.window[0]
+    here, axis = together[np.ix_(first, first)], np.array([axis for _, axis in FEATURES])
+    same = axis[own.feature[first]][:, None] == axis[own.feature[first]][None, :]
+    assert not here[~same].any()
+    root = np.sqrt(np.diag(here))
+    wanted = np.outer(root, root) * (np.eye(len(root)) if drive == "measure" else same)
+    assert here == pytest.approx(wanted, abs=1e-12)
+    tip, foot = root[own.feature[first] == 0], root[own.feature[first] == len(FEATURES) - 1]
+    if drive == "bow":
+        assert tip == pytest.approx(0.0)
+    else:
+        assert tip == pytest.approx(1.0)
+    assert 0.0 < foot < 0.5
+
+
 def test_sizes_are_named_with_their_units() -> None:
     assert list(chance.as_dict(sizes_expected())) == NAMES
     assert len(set(NAMES)) == len(NAMES)
-    units = {"bias": "_per_cm_h", "growth": "_share", "gain": "_share", "measure": "_cm"}
+    bending, shares = dict.fromkeys(("bias", "gradient"), "_per_cm_h"), dict.fromkeys(("growth", "gain"), "_share")
+    units = bending | shares | dict.fromkeys(MEASURED, "_cm")
     assert all(part.name.endswith(units[part.drive]) for part in PARTS)
 
 

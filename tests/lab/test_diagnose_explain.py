@@ -43,6 +43,11 @@ def test_what_was_hidden_is_named() -> None:
     assert explained("unequal").found.values()[0]["right_to_left"] == pytest.approx(0.5, rel=0.3)
 
 
+@pytest.mark.parametrize("which", ["late", "slow", "unequal", "both"])
+def test_what_has_a_name_leaves_nothing_without_one(which: str) -> None:
+    assert explained(which).unnamed is None
+
+
 def test_two_hidden_effects_are_named_both() -> None:
     explanation = explained("both")
     assert set(names(explanation)) == {"clock_offset", "draught"}
@@ -63,7 +68,7 @@ def test_where_nothing_is_hidden_nothing_is_named() -> None:
     claims = 0
     for seeds in ((90, 91), (92, 93), (94, 95)):
         explanation = explained("nothing", seeds)
-        claims += bool(explanation.accepted)
+        claims += bool(explanation.accepted) + (explanation.unnamed is not None)
         if not explanation.accepted:
             assert explanation.found.hypothesis.causes == ()
             assert explanation.swing is None

@@ -9,6 +9,7 @@ import pytest
 from diagnose_runs import CHANCE, TYPICAL, base, change_of, individual, scene_of, scenes_of, warm_course
 
 from flora_lab.diagnose import chance, search
+from flora_lab.diagnose.chance import MEASURED, PARTS
 from flora_lab.diagnose.explain import CLAIM
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
@@ -201,7 +202,7 @@ def test_evidence_is_the_probability_of_the_runs_over_all_plants() -> None:
 def test_plants_are_found_whatever_they_are() -> None:
     scene = scene_of(70, chance={"measure": 0.02})
     sizes = base().sizes.copy()
-    sizes[:-3] *= 0.1  # nothing but measuring happened by chance
+    sizes[[part.drive not in MEASURED for part in PARTS]] *= 0.1  # nothing but measuring happened by chance
     calm = Base(**{name: getattr(base(), name) for name in Base.__slots__} | {"sizes": sizes})
     joint = of_scenes([scene], calm)
     fit = joint.fit(joint.null(), 20)

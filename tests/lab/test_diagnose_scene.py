@@ -25,7 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flora_lab.diagnose.record import without
-from flora_lab.diagnose.scene import FEATURES, KNOT_H, Answers, Lanes, Scene, late_light
+from flora_lab.diagnose.scene import FEATURES, KNOT_H, USUAL, Answers, Lanes, Scene, late_light
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism import LIGHT_HALF
@@ -270,14 +270,14 @@ def test_nothing_is_answered_before_it_happens() -> None:
                 assert np.abs(answer[:, knot]).max() > 0.0
 
 
-@pytest.mark.parametrize(("name", "size"), [("bias", 0.005), ("growth", 0.05), ("gain", 0.05)])
+@pytest.mark.parametrize(("name", "size"), [("bias", 0.005), ("gradient", 0.005), ("growth", 0.05), ("gain", 0.05)])
 def test_answers_tell_what_a_small_push_does(name: str, size: float) -> None:
     scene = scene_of(2, hours=12.0)
     told = answers(scene)
     rng = np.random.default_rng(1)
     knots = size * rng.standard_normal(len(told.at_h[name]))
     course = np.repeat(knots, round(KNOT_H[name] / scene.step_h))[: scene.steps, None]
-    drives = {name: course if name == "bias" else 1.0 + course}
+    drives = {name: USUAL[name] + course}
     base, pushed = (scene.of_points(scene.points(lanes(Change()), d))[0] for d in ({}, drives))
     moved = pushed - base
     assert np.abs(moved).max() > 0.005

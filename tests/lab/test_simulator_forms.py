@@ -29,7 +29,9 @@ def stem(length_cm: float, lean_deg: float = 0.0) -> Array:
     return np.linspace(0.0, length_cm, 10)[:, None] * np.array([np.sin(lean), np.cos(lean)])
 
 
-def grown(first_cm: Array, lamps: tuple[float, float], hours: float, **form: float) -> tuple[Array, Array]:
+def grown(
+    first_cm: Array, lamps: tuple[float, float], hours: float, bias: float = 0.0, gradient: float = 0.0, **form: float
+) -> tuple[Array, Array]:
     """A plant that is used to its light, after some hours: ten points as they are shown (10, 2), and all angles."""
     steps = round(hours / STEP_H)
     own = NEUTRAL.copy()
@@ -39,7 +41,7 @@ def grown(first_cm: Array, lamps: tuple[float, float], hours: float, **form: flo
     stems.memory[0, :2] = np.log1p(np.array(lamps) / LIGHT_HALF) / np.log1p(1.0 / LIGHT_HALF)
     out = np.empty((steps, 1, 10, 2))
     still = np.zeros((steps, 1))
-    driven = Driven(np.tile(lamps, (steps, 1, 1)), still, still + 1.0, still + 1.0, still)
+    driven = Driven(np.tile(lamps, (steps, 1, 1)), still + bias, still + gradient, still + 1.0, still + 1.0, still)
     LAW.advance_with(stems, EVEN[None], own[None], driven, Seen(still, np.ones(1)), STEP_H, 1, out)
     return out[-1, 0], stems.angle[0, : stems.count[0]]
 
@@ -56,6 +58,22 @@ def test_as_it_is_written_it_is_the_plain_law_to_the_bit() -> None:
     still = np.zeros((36, 1))
     TropismLaw(LampsSection()).advance(stems, EVEN[None], light, still, still + 1.0, STEP_H, 1, plain)
     assert grown(first, RIGHT, 3.0)[0].tobytes() == plain[-1, 0].tobytes()
+
+
+def test_a_gradient_bends_the_upper_half_of_the_zone_one_way_and_the_lower_half_the_other() -> None:
+    first = stem(12.0)
+    stems = standing(LAW, first[None])
+    from_tip_cm = 12.0 - np.cumsum(stems.length[0, : stems.count[0]])[:-1]
+    even, sloped = bent(first, DARK, STEP_H, bias=0.1), bent(first, DARK, STEP_H, gradient=0.1)
+    assert sloped / even == pytest.approx(np.maximum(1.0 - from_tip_cm / 4.0, -1.0), abs=0.1)
+    assert (sloped / even).min() == pytest.approx(-1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 40.0])
+def test_what_pushes_sideways_acts_across_the_stem(lean_deg: float) -> None:
+    first = stem(7.0, lean_deg)
+    plain, turned, pushed = (bent(first, DARK, STEP_H, **one) for one in ({}, {"push": 0.1}, {"sideways": 0.1}))
+    assert pushed - plain == pytest.approx((turned - plain) * np.cos(np.radians(lean_deg)), rel=0.01)
 
 
 @pytest.mark.parametrize("level", [0.5, 0.25])

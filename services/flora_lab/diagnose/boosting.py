@@ -111,7 +111,7 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
             added = box.residual_cm(
                 seen(told, scene.light[now], run.since_h[now], run.time_h[now], scene.warmth_c[now])
             )
-            driven = Driven(scene.light[now, None], still, usual, usual, scene.warmth_c[now])
+            driven = Driven(scene.light[now, None], still, still, usual, usual, scene.warmth_c[now])
             scene.law.advance_with(
                 stems, traits[None], scene.law.terms[None], driven, shown, scene.step_h, 1, out[now, None]
             )

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
+from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import FEATURES, Answers, Scene
 
@@ -31,7 +32,7 @@ class Part:
 
     Attributes:
         name: with the unit of its size.
-        drive: ``bias``, ``growth`` or ``gain`` of the law, or ``measure``.
+        drive: ``bias``, ``gradient``, ``growth`` or ``gain`` of the law, or one of :data:`MEASURED`.
         memory_h: its correlation time; 0 for what is new with each feature.
         typical: size that it is expected to have, its standard deviation.
         doubt: standard deviation of the logarithm of that.
@@ -51,6 +52,8 @@ PARTS: Final = (
     Part("wander_per_cm_h", "bias", 5.0, 0.015),
     Part("wander_slow_per_cm_h", "bias", 20.0, 0.008),
     Part("nutation_per_cm_h", "bias", 5.0, 0.02, 1.5, 1.64),
+    Part("gradient_per_cm_h", "gradient", 4.0, 0.015),
+    Part("gradient_slow_per_cm_h", "gradient", 16.0, 0.01),
     Part("growth_fast_share", "growth", 3.0, 0.06),
     Part("growth_slow_share", "growth", 12.0, 0.05),
     Part("growth_rhythm_share", "growth", 1e6, 0.04, 1.0, DAY_H),
@@ -59,7 +62,12 @@ PARTS: Final = (
     Part("measure_cm", "measure", 0.0, 0.04),
     Part("wobble_cm", "measure", 2.0, 0.03),
     Part("wobble_slow_cm", "measure", 12.0, 0.02),
+    Part("lean_cm", "lean", 2.0, 0.02),
+    Part("lean_slow_cm", "lean", 12.0, 0.01),
+    Part("bow_cm", "bow", 2.0, 0.02),
 )
+MEASURED: Final = ("measure", "lean", "bow")
+"""Errors of the measurement: of each point by itself, or of the stem as a whole, that leans or is bent too much."""
 SMALLEST_MEASURE_CM: Final = 0.03
 """However well stems are measured: the law itself, and what is taken for linear about a plant, are no better."""
 _SWING_MARGIN: Final = 1.3
@@ -71,20 +79,19 @@ _MOST: Final = 20.0
 
 
 def sizes_expected() -> Array:
-    """Shape (12,)."""
+    """Shape (17,)."""
     return np.array([part.typical for part in PARTS])
 
 
 def covariances(scene: Scene, answers: Answers) -> Array:
-    """What each part would give in a run if its size were 1, shape (12, m, m)."""
+    """What each part would give in a run if its size were 1, shape (17, m, m)."""
     m = scene.size
     found = np.empty((len(PARTS), m, m))
     row_h = scene.time_h[scene.window]
     for i, part in enumerate(PARTS):
-        if part.drive == "measure":
+        if part.drive in MEASURED:
             lag_h = np.abs(row_h[:, None] - row_h[None, :])
-            alike = (scene.feature[:, None] == scene.feature[None, :]) * _reach(scene)
-            found[i] = alike * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
+            found[i] = _alike(scene, part.drive) * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
             continue
         at_h = answers.at_h[part.drive]
         lag_h = np.abs(at_h[:, None] - at_h[None, :])
@@ -116,10 +123,18 @@ def of_swing(scene: Scene, answers: Answers, swing: Swing) -> Array:
     return np.asarray(given + _SWING_LEFT * np.diag(np.diag(given)))
 
 
-def _reach(scene: Scene) -> Array:
-    """Points lower on the stem are found as well as the tip, but their lower part hardly moves: as good, not worse."""
-    share = np.array([1.0, 1.0, 0.8, 0.6, 0.4])[: len(FEATURES)]
-    return np.asarray(share[scene.feature][:, None] * share[scene.feature][None, :])
+def _alike(scene: Scene, drive: str) -> Array:
+    """How an error of 1 cm of the measurement shows in two features at a time, shape (m, m)."""
+    points, axes = np.array(FEATURES).T
+    height = points / (STEM_POINTS - 1.0)
+    if drive == "measure":
+        # Points lower on the stem are found as well as the tip, but their lower part hardly moves: as good, not worse.
+        share, together = np.array([1.0, 1.0, 0.8, 0.6, 0.4]), np.eye(len(FEATURES))
+    else:
+        share = height if drive == "lean" else 4.0 * height * (1.0 - height)
+        together = (axes[:, None] == axes[None, :]).astype(np.float64)
+    of_features = together * share[:, None] * share[None, :]
+    return np.asarray(of_features[scene.feature[:, None], scene.feature[None, :]])
 
 
 def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence[Array], start: Array) -> Array:
@@ -129,10 +144,10 @@ def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence
         residuals: measured minus what the typical plant does, one per run, shape (m,).
         parts: of the same runs, see :func:`covariances`.
         known: covariance that is there besides, shape (m, m): that plants differ.
-        start: sizes to begin with, shape (12,).
+        start: sizes to begin with, shape (17,).
 
     Returns:
-        Sizes, shape (12,).
+        Sizes, shape (17,).
     """
     middle = np.log(sizes_expected())
     doubt = np.array([part.doubt for part in PARTS])

@@ -15,6 +15,7 @@ from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import Answers, Scene
+from flora_lab.diagnose.unnamed import Unnamed, unnamed
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 
@@ -28,6 +29,10 @@ _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
+BETTER: Final = 4.0
+"""Nats by which something without a name must be better than the best cause, which then is not believed."""
+BESIDE: Final = 0.15
+"""Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
 _RESTARTS: Final = 2
 _BADLY: Final = 1.5
 
@@ -56,10 +61,17 @@ class Stage:
     Attributes:
         before: the fit without another cause.
         tried: best first, each effect once, in its best form.
+        unnamed: the best of what is no cause of the catalogue, on top of the same.
     """
 
     before: Found
     tried: tuple[Tried, ...]
+    unnamed: Unnamed | None = None
+
+    @property
+    def has_no_name(self) -> bool:
+        """Whether something that is no cause explains the runs better than any that is."""
+        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain, 0.0) + BETTER
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +94,7 @@ class Explanation:
         accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
         claim: nats that a first cause had to have.
+        unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
     """
 
     null: Found
@@ -91,6 +104,7 @@ class Explanation:
     accepted: tuple[Accepted, ...]
     joint: Joint
     claim: float = CLAIM
+    unnamed: Unnamed | None = None
 
 
 class Explainer:
@@ -132,7 +146,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < self.claim + (MORE if accepted else 0.0) or len(accepted) == MOST_CAUSES:
+            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name:
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -145,14 +159,25 @@ class Explainer:
                 self._answer(found)
                 joint = self._joint(swing)
                 found = joint.fit(_started(found), 12)
-        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim)
+        beside = self._beside(stages[-1], accepted)
+        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
+
+    def _needed(self, accepted: Sequence[Accepted]) -> float:
+        """Nats that one cause more must have."""
+        return self.claim + (MORE if accepted else 0.0)
+
+    def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
+        """What is at work beside the causes, if it is worth a word."""
+        named = sum(one.tried.gain for one in accepted)
+        enough = last.unnamed is not None and last.unnamed.gain > max(self._needed(accepted), BESIDE * named)
+        return last.unnamed if enough else None
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= self.claim + MORE:
+            if found.evidence - less.evidence >= self._needed(accepted):
                 continue
             found = less
             accepted.remove(earlier)
@@ -184,7 +209,7 @@ class Explainer:
             place = 0 if own.gain > slow else 1
             if own.gain > 0.0:
                 tried.insert(place, own)
-        return Stage(before, tuple(tried))
+        return Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""

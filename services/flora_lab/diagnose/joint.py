@@ -238,6 +238,33 @@ class Joint:
         first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
         return np.concatenate([told, first], axis=1)
 
+    def beside(self, found: Found, pushed: Sequence[Array], sd: float) -> tuple[float, Array]:
+        """Nats for something beside an explanation that pushes features in proportion to its sizes, and these.
+
+        All is linear about the explanation, whose plants and parameters give way.
+
+        Args:
+            found: fitted.
+            pushed: by a unit of each size, one array of shape (m, sizes) per run.
+            sd: of each size before any data.
+        """
+        normal, downhill = self._normal(found)
+        count, q = len(self.runs), len(found.coordinates)
+        sizes = pushed[0].shape[1]
+        information, pull = np.eye(sizes) / sd**2, np.zeros(sizes)
+        across = np.zeros((len(normal), sizes))
+        for run, (own, along) in enumerate(zip(self.runs, pushed, strict=True)):
+            white = own.white(np.concatenate([along, np.zeros((len(own.measured) - len(along), sizes))]))
+            information += white.T @ white
+            pull += white.T @ found.residuals[run]
+            across[self._places(run, count, q)] += found.jacobians[run].T @ white
+        gives_way = np.linalg.solve(normal, np.column_stack([across, downhill]))
+        information -= across.T @ gives_way[:, :-1]
+        pull -= across.T @ gives_way[:, -1]
+        size = np.linalg.solve(information, pull)
+        ratio = np.linalg.slogdet(information)[1] + 2.0 * sizes * np.log(sd)
+        return float(0.5 * pull @ size - 0.5 * ratio), size
+
     def null(self) -> Found:
         """A start without any cause, all plants typical."""
         count = len(self.runs)
@@ -313,20 +340,19 @@ class Joint:
 
     def _normal(self, found: Found) -> tuple[Array, Array]:
         count, q = len(self.runs), len(found.coordinates)
-        size = _OWN * count + q
         normal = self._precision(found.hypothesis).copy()
         downhill = -normal @ self._away(found)
         for run, (residual, jacobian) in enumerate(zip(found.residuals, found.jacobians, strict=True)):
-            at = np.concatenate(
-                [
-                    TRAITS * run + np.arange(TRAITS),
-                    TRAITS * count + 2 * run + np.arange(2),
-                    np.arange(_OWN * count, size),
-                ]
-            )
+            at = self._places(run, count, q)
             normal[np.ix_(at, at)] += jacobian.T @ jacobian
             downhill[at] += jacobian.T @ residual
         return normal, downhill
+
+    @staticmethod
+    def _places(run: int, count: int, q: int) -> Array:
+        """Where the unknowns of a run stand, and the parameters."""
+        own, start = TRAITS * run + np.arange(TRAITS), TRAITS * count + 2 * run + np.arange(2)
+        return np.concatenate([own, start, _OWN * count + np.arange(q)])
 
     def _with_evidence(self, found: Found) -> Found:
         normal, _ = self._normal(found)

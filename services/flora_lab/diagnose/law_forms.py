@@ -26,6 +26,9 @@ def _adding(term: int) -> Callable[[Change, Values], None]:
     return add
 
 
+NEARER: Final = _form(
+    "nearer", "Long stems lean towards the camera", terms.NEARER, 0.12, "8 cm in depth seen from 70 cm"
+)
 FORMS: Final = (
     _form(
         "brightness_more",
@@ -55,6 +58,6 @@ FORMS: Final = (
         0.3,
         "0: straight between the early and the late rate",
     ),
-    _form("nearer", "Long stems lean towards the camera", terms.NEARER, 0.12, "8 cm in depth seen from 70 cm"),
+    NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""

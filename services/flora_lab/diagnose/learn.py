@@ -47,7 +47,7 @@ class _Linear:
     Attributes:
         residual: measured minus what the typical plant does, shape (m,).
         slopes: of the features by the plant's own unknowns, shape (m, 11).
-        parts: covariances of what happens by chance, per unit, shape (12, m, m).
+        parts: covariances of what happens by chance, per unit, shape (17, m, m).
     """
 
     residual: Array

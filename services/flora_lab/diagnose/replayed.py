@@ -160,4 +160,4 @@ def _driven(light: Array, warmth_c: Array) -> Driven:
     """Nothing but lamps and warmth, of shapes (steps, batch, 2) and (steps, batch)."""
     steps, batch = light.shape[:2]
     still, usual = np.zeros((steps, batch)), np.ones((steps, batch))
-    return Driven(light, still, usual, usual, warmth_c)
+    return Driven(light, still, still, usual, usual, warmth_c)

@@ -39,8 +39,10 @@ FIRST_ROWS: Final = 3
 """The first stem is the mean of so many: all that follows starts from it."""
 TOLD_STEPS: Final = 3
 """Simulated stems are told after every so many steps: the mean over an hour is that of all, at a third of the price."""
-KNOT_H: Final = {"bias": 0.5, "growth": 1.0, "gain": 1.0}
-_PUSH: Final = {"bias": 0.02, "growth": 0.2, "gain": 0.2}
+KNOT_H: Final = {"bias": 0.5, "gradient": 1.0, "growth": 1.0, "gain": 1.0}
+USUAL: Final = {"bias": 0.0, "gradient": 0.0, "growth": 1.0, "gain": 1.0}
+"""What drives are where nothing drives."""
+_PUSH: Final = {"bias": 0.02, "gradient": 0.02, "growth": 0.2, "gain": 0.2}
 TEMPERATURE: Final = "temperature_c"
 _OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY]
 """Terms that say of what kind another one is: they do not add up."""
@@ -66,7 +68,7 @@ class Answers:
     """How the features answer a push at each knot of each drive, about one plant.
 
     Attributes:
-        to: drive (``bias``, ``growth``, ``gain``) to shape (m, knots), per unit of the drive.
+        to: drive (see :data:`KNOT_H`) to shape (m, knots), per unit of the drive.
         at_h: drive to the middles of its knots, shape (knots,).
         length_cm: of the stem in the middle of each bias knot.
     """
@@ -139,10 +141,10 @@ class Scene:
         Args:
             lanes: which plants, under which changes.
             every: steps from one row that is told to the next; as features need it where None.
-            drives: ``bias``, ``growth``, ``gain`` to shape (steps, lanes); none, 1 and 1 where missing.
+            drives: by the names of :data:`USUAL`, shape (steps, lanes); as there where missing.
         """
         count = len(lanes.traits)
-        given = drives or {}
+        given = {name: np.full((self.steps, count), usual) for name, usual in USUAL.items()} | (drives or {})
         every = every or self._every
         turn, scale, terms, light = self._changed(lanes.changes, every)
         out = np.empty((self.steps // every, count, STEM_POINTS, 2))
@@ -152,9 +154,10 @@ class Scene:
             terms,
             Driven(
                 light,
-                given.get("bias", np.zeros((self.steps, count))),
-                given.get("growth", np.ones((self.steps, count))),
-                given.get("gain", np.ones((self.steps, count))),
+                given["bias"],
+                given["gradient"],
+                given["growth"],
+                given["gain"],
                 self.warmth_c,
             ),
             Seen(turn, scale),
@@ -172,7 +175,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (16,)."""
+        """The simulator's own terms with what is changed besides, shape (17,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -204,7 +207,7 @@ class Scene:
             push = np.zeros((self.steps, knots))
             push[np.arange(self.steps), np.arange(self.steps) // per_knot] = _PUSH[name]
             lanes = Lanes(np.repeat(traits[None], knots, axis=0), np.zeros((knots, 2)), [change] * knots)
-            told = self.of_points(self.points(lanes, {name: push if name == "bias" else 1.0 + push}))
+            told = self.of_points(self.points(lanes, {name: USUAL[name] + push}))
             to[name] = (told - base).T / _PUSH[name]
             at_h[name] = (np.arange(knots) + 0.5) * per_knot * self.step_h
         lengths = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
@@ -222,7 +225,7 @@ class Scene:
         return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
 
     def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 12) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 17) and light (steps, lanes, 2) of changes."""
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])

@@ -56,7 +56,8 @@ def noise_of(sizes: Array) -> DriveNoise:
     named = chance.as_dict(sizes)
     for part in chance.PARTS:
         if part.period_h == 0.0 and part.memory_h < 1e5:
-            by_drive.setdefault(part.drive, []).append((named[part.name], part.memory_h))
+            drive = "measure" if part.drive in chance.MEASURED else part.drive
+            by_drive.setdefault(drive, []).append((named[part.name], part.memory_h))
 
     def together(drive: str) -> tuple[float, float]:
         sds = np.array([sd for sd, _ in by_drive[drive]])

@@ -24,7 +24,7 @@ import scipy.optimize
 
 from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
 from flora_lab.diagnose.joint import START_SD, Base, Found, Ready
-from flora_lab.diagnose.law_forms import FORMS
+from flora_lab.diagnose.law_forms import FORMS, NEARER
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change, Effect
@@ -195,6 +195,10 @@ def usual_errors(runs: Sequence[Ready], fits: Sequence[Found], base: Base) -> Us
     bounds = [(float(np.log(_LEAST)), float(np.log(_MOST)))] * len(expected)
     found = scipy.optimize.minimize(improbability, np.zeros(len(expected)), method="L-BFGS-B", bounds=bounds)
     sizes = expected * np.exp(found.x)
+    # Stems that lean out of the picture do not all lean alike, and look as much longer or shorter.
+    nearer = _of_sizes(told, sizes, means)[1][np.repeat(causes(), columns()) == NEARER.name]
+    scale = causes().index("camera_scale")
+    sizes[scale] = np.hypot(sizes[scale], np.abs(nearer).max())
     return UsualErrors(sizes, _of_sizes(told, sizes, means)[1], len(runs))
 
 

@@ -17,6 +17,7 @@ from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
 from flora_lab.effects.effect import Effect, Parameter, is_same
 
 Array = npt.NDArray[Any]
@@ -51,11 +52,13 @@ class Left:
         share: mean square of what is left over that of reference runs by themselves.
         p_value: how often reference runs would leave as much.
         explained: share of what the simulator as it is leaves beyond what is usual, that the causes take away.
+        unnamed: what seems to be at work that is no cause of the catalogue.
     """
 
     share: float
     p_value: float
     explained: float
+    unnamed: Unnamed | None = None
 
     @property
     def is_much(self) -> bool:
@@ -63,7 +66,7 @@ class Left:
 
         A little is left of every strong effect, because no term is quite what nature does.
         """
-        return self.p_value < _LEFT_P and self.explained < _MOSTLY
+        return self.unnamed is not None or (self.p_value < _LEFT_P and self.explained < _MOSTLY)
 
 
 def left_of(explanation: Explanation, known: Knowledge) -> Left:
@@ -86,7 +89,7 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
         for fit in (explanation.stages[0].before, explanation.found)
     )
     explained = 1.0 - after / before if before > 0.0 else 0.0
-    return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained)
+    return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained, explanation.unnamed)
 
 
 _LEAST_SD: Final = 0.10
@@ -117,6 +120,8 @@ def left_words(left: Left, explanation: Explanation, known: Knowledge) -> str:
     )
     by_feature = [float(squares[scene.feature == f].mean()) for f in range(len(_PLACES))]
     told.append(f"It shows most in {_PLACES[int(np.argmax(by_feature))]}.")
+    if left.unnamed is not None:
+        told.append(f"The best description of it, though of no cause: {left.unnamed.words} ({left.unnamed.evidence}).")
     return " ".join(told)
 
 
@@ -256,8 +261,7 @@ def _widened(interval: tuple[float, float], value: float, share: float) -> tuple
 def _sentence(effect: Effect, values: dict[str, float], nats: float, alike: Sequence[Tried]) -> str:
     text = effect.sentence(values)
     text = text[0].upper() + text[1:]
-    times = f"e^{nats:.0f}" if nats > 20.0 else f"{np.exp(nats):,.0f}".replace(",", " ")
-    told = f"{text}: with it the runs are {times} times as probable as without."
+    told = f"{text}: with it the runs are {times_as_probable(nats)}."
     if alike:
         told += f" These runs do not tell it from {_listed([t.effect.title.lower() for t in alike])}."
     return told

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.joint import Base
-from flora_lab.diagnose.scene import KNOT_H, Lanes, Scene
+from flora_lab.diagnose.scene import KNOT_H, USUAL, Lanes, Scene
 from flora_lab.effects.effect import Change
 
 Array = npt.NDArray[Any]
@@ -36,12 +36,12 @@ def tips_between(scene: Scene, base: Base, mean: Array, change: Change, length_c
     rng = np.random.default_rng(_SEED)
     spread = base.spread + base.doubt
     traits = mean + change.traits + rng.standard_normal((PLANTS, len(mean))) @ np.linalg.cholesky(spread).T
-    drives = {name: np.zeros((scene.steps, PLANTS)) for name in KNOT_H}
+    drives = {name: np.full((scene.steps, PLANTS), usual) for name, usual in USUAL.items()}
     for part, size in zip(chance.PARTS, base.sizes, strict=True):
         if part.drive in drives:
             drives[part.drive] += size * _course(rng, part, scene, length_cm)
     for name in ("growth", "gain"):
-        drives[name] = np.maximum(1.0 + drives[name], _LEAST_SHARE)
+        drives[name] = np.maximum(drives[name], _LEAST_SHARE)
     tips = scene.points(Lanes(traits, np.zeros((PLANTS, 2)), [change] * PLANTS), drives, every=1)[:, :, -1]
     return np.asarray(np.percentile(tips, BETWEEN, axis=1))
 

@@ -8,9 +8,14 @@ from flora_lab.effects.effect import Change, Effect, Parameter, Values
 from flora_lab.simulator import terms
 
 
-def act(change: Change, v: Values) -> None:
-    """A steady stimulus beside the others."""
+def turning(change: Change, v: Values) -> None:
+    """A steady stimulus beside the others, whichever way the stem points."""
     change.terms[terms.PUSH] += v["drive_per_cm_h"]
+
+
+def pushing(change: Change, v: Values) -> None:
+    """A push from one side: what of it is across the stem acts."""
+    change.terms[terms.SIDEWAYS] += v["drive_per_cm_h"]
 
 
 def sentence(v: Values) -> str:
@@ -35,7 +40,10 @@ EFFECT: Final = Effect(
             starts=(-0.1, 0.1),
         ),
     ),
-    forms=(act,),
+    forms=(
+        turning,
+        pushing,
+    ),
     sentence=sentence,
     same_as={
         "lamp_asymmetry": "a day in the dark or under both lamps, or the pot turned round",

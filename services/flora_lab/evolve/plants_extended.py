@@ -27,6 +27,7 @@ from flora_lab.simulator.rod import LONGEST_STEP_H, length_of
 Array = npt.NDArray[Any]
 
 _step = terms.extended_step_lane
+_NO_GRADIENT: Final = 0.0
 _WHOLE_GAIN: Final = 1.0
 _AS_WARM: Final = 0.0
 """An episode is as warm as the runs that the simulator was learned from."""
@@ -73,6 +74,7 @@ class ExtendedPlants(NamedTuple):
                 left,
                 right,
                 bias,
+                _NO_GRADIENT,
                 growth,
                 _WHOLE_GAIN,
                 _AS_WARM,

@@ -8,7 +8,8 @@ step:
 - a lamp's pull is a factor on what it does to the stem, not on its brightness, whose logarithm hardly feels a factor:
   ``RIGHT_TO_LEFT`` for the right lamp; both lose ``AGEING_PER_H`` of it per hour; while a lamp is on, its pull falls by
   up to ``ADAPTATION``, with ``ADAPTATION_H`` as time constant, and comes back with the same one while it is off;
-- a steady ``PUSH`` to the right, 1/(cm h), beside the law's other stimuli;
+- a steady ``PUSH`` to the right, 1/(cm h), beside the law's other stimuli, or one ``SIDEWAYS``, which does the less the
+  more the stem lies in its direction;
 - growth follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after the start, and is
   ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of ``ACTIVITY``: 0 where it
   does not care, 1 where both are one activity, as in Bastien et al. 2015;
@@ -39,11 +40,11 @@ Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
-BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER = range(11, 16)
+BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS = range(11, 17)
 """Columns of the terms."""
-TERMS: Final = 16
+TERMS: Final = 17
 NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 5)])
-"""Values at which nothing is changed, shape (16,)."""
+"""Values at which nothing is changed, shape (17,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -127,6 +128,7 @@ def extended_step_lane(
     left: float,
     right: float,
     bias: float,
+    gradient: float,
     growth: float,
     gain: float,
     warmth_c: float,
@@ -138,7 +140,8 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (16,).
+        t: the terms, shape (17,).
+        gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
     """
@@ -165,6 +168,8 @@ def extended_step_lane(
         gain * left_pull,
         gain * right_pull,
         bias + t[PUSH],
+        gradient,
+        t[SIDEWAYS],
         growth * factor,
         activity,
         Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE]),
@@ -207,6 +212,7 @@ def _lanes(
     lamps_cm: Array,
     light: Array,
     bias: Array,
+    gradient: Array,
     growth: Array,
     gain: Array,
     warmth_c: Array,
@@ -232,6 +238,7 @@ def _lanes(
                     light[k, b, 0],
                     light[k, b, 1],
                     bias[k, b],
+                    gradient[k, b],
                     growth[k, b],
                     gain[k, b],
                     warmth_c[k, b],
@@ -252,6 +259,7 @@ class Driven(NamedTuple):
     Attributes:
         light: levels of the left and right lamp, shape (steps, batch, 2).
         bias: of bending, 1/(cm h), shape (steps, batch).
+        gradient: of that along the stem, see :mod:`flora_lab.simulator.tropism`, 1/(cm h), shape (steps, batch).
         growth: factor on the rate of growth, shape (steps, batch).
         gain: factor on the pull of both lamps, shape (steps, batch).
         warmth_c: see :func:`extended_step_lane`, shape (steps,), or (steps, batch) where plants differ in it.
@@ -259,6 +267,7 @@ class Driven(NamedTuple):
 
     light: Array
     bias: Array
+    gradient: Array
     growth: Array
     gain: Array
     warmth_c: Array
@@ -281,7 +290,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (16,).
+        terms: shape (17,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -318,7 +327,7 @@ class ExtendedLaw(TropismLaw):
         """See :meth:`flora_lab.simulator.law.Law.advance`."""
         steps, batch = bias.shape
         warmth_c = np.zeros(steps) if self._warmth_c is None else self._warmth_c[:steps]
-        driven = Driven(light, bias, growth, np.ones((steps, batch)), warmth_c)
+        driven = Driven(light, bias, np.zeros((steps, batch)), growth, np.ones((steps, batch)), warmth_c)
         terms = np.repeat(self.terms[None], batch, axis=0)
         seen = Seen(np.zeros((len(out), batch)), np.ones(batch))
         self.advance_with(stems, traits, terms, driven, seen, step_h, every, out)
@@ -338,7 +347,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 16).
+            terms: shape (batch, 17).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """
@@ -355,6 +364,7 @@ class ExtendedLaw(TropismLaw):
             self.lamps_cm,
             np.ascontiguousarray(driven.light, dtype=np.float64),
             driven.bias,
+            driven.gradient,
             driven.growth,
             driven.gain,
             np.ascontiguousarray(np.broadcast_to(warmth_c, driven.bias.shape), dtype=np.float64),

@@ -3,14 +3,15 @@
 After Bastien et al. 2015 ("A unified model of shoot tropism in plants: photo-, gravi- and proprio-ception"), with theta
 the angle from the vertical (positive to the right), kappa the curvature and d the distance from the tip:
 
-    D(kappa)/Dt = w(d) * ( nu * S * l_n - beta * sin(theta) - gamma * kappa + b(t) )
+    D(kappa)/Dt = w(d) * ( nu * S * l_n - beta * sin(theta) - gamma * kappa + b(t) + g(t) * (1 - 2 d / mature) )
 
 - ``l_n`` is the part of the light's direction across the stem: the sum over the lit lamps, each falling with the square
   of its distance. S is the logarithm of its brightness (Weber-Fechner), 1 for one full lamp at the anchor; it lags
   behind the lamps by two equal stages.
 - ``w(d) = exp(-d / stiffening) / (1 + exp((d - mature) / 0.8 cm))``: older tissue responds less, then not at all, and
   keeps the curvature that it had. Ohad et al.: the modulus grows e-fold in 5.0 cm (3.5-6.3) from the tip.
-- ``b(t)`` is a bias that the caller gives: noise, circumnutation, or an effect under test.
+- ``b(t)`` is a bias that the caller gives: noise, circumnutation, or an effect under test. ``g(t)``, of the same unit,
+  bends the upper half of the tissue that bends to one side and the lower half to the other; below, its factor stays -1.
 - Elongation depends on the stem's length.
 """
 
@@ -144,6 +145,8 @@ def _bend(
     left_pull: float,
     right_pull: float,
     bias: float,
+    gradient: float,
+    sideways: float,
     form: Form,
     dt_h: float,
 ) -> None:
@@ -162,7 +165,8 @@ def _bend(
             x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form.brightness_more, lamps_cm
         )
         weight = p[GRAVI] * sin[j] * (1.0 + form.lean_more * (sin[j] * sin[j] - _USUAL_LEAN_2))
-        stimulus = p[PHOTO] * light - weight + bias
+        higher = max(1.0 - 2.0 * (total_cm - arc[j]) / p[MATURE], -1.0)
+        stimulus = p[PHOTO] * light - weight + (bias + gradient * higher) + sideways * cos[j]
         pull[j] = reach[j] * stimulus
     turn = below = 0.0
     for j in range(n):
@@ -193,17 +197,37 @@ def driven_step_lane(
     left_pull: float,
     right_pull: float,
     bias: float,
+    gradient: float,
+    sideways: float,
     growth: float,
     activity: float,
     form: Form,
     dt_h: float,
 ) -> int:
-    """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others."""
+    """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others,
+    the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts."""
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
     bend_h = dt_h * activity
-    _bend(length, angle, n, arc, reach, total, seen, p, lamps_cm, left_pull, right_pull, bias, form, bend_h)
+    _bend(
+        length,
+        angle,
+        n,
+        arc,
+        reach,
+        total,
+        seen,
+        p,
+        lamps_cm,
+        left_pull,
+        right_pull,
+        bias,
+        gradient,
+        sideways,
+        form,
+        bend_h,
+    )
     grown_cm = max(0.0, growth) * _growth_cm_per_h(total, p, form.spurt_more) * dt_h
     elongate(length, n, arc, total, p[GROWTH_ZONE], grown_cm)
     return int(split(length, angle, n))
@@ -225,7 +249,7 @@ def step_lane(
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
     return driven_step_lane(
-        length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, growth, 1.0, AS_WRITTEN, dt_h
+        length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, 0.0, 0.0, growth, 1.0, AS_WRITTEN, dt_h
     )
 
 

@@ -1,0 +1,129 @@
+"""What has no name in the catalogue: found by the drive that is off and by what it follows, and said in words."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnose_runs import base, known, scene_of, scenes_of, stem, still, turns
+
+from flora_lab.diagnose import chance, search
+from flora_lab.diagnose.explain import Explainer, Explanation
+from flora_lab.diagnose.hypothesis import Cause
+from flora_lab.diagnose.joint import Joint, ready
+from flora_lab.diagnose.summary import summary
+from flora_lab.diagnose.unnamed import COURSES, Course, Unnamed, moments_of
+from flora_lab.diagnose.verdict import left_of, left_words, named, verdict_of
+from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects.effect import Change
+from flora_lab.threads import one_blas_thread
+
+Array = Any
+HOURS = 48.0
+HIDDEN: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
+    "by day": {"gain": lambda hour: 0.7 * np.cos(2.0 * np.pi * (hour - 7.0) / 24.0)},
+    "late": {"growth": lambda hour: -0.6 * (hour > 24.0)},
+}
+
+
+@functools.cache
+def explained(which: str) -> Explanation:
+    scenes = [scene_of(seed, hours=HOURS, besides=HIDDEN[which]) for seed in (84, 85)]
+    with one_blas_thread():
+        return Explainer(scenes, known()).explain()
+
+
+def course_of(where: str) -> Course:
+    (found,) = (course for course in COURSES if course.where.startswith(where))
+    return found
+
+
+def test_a_rhythm_that_is_no_cause_is_described() -> None:
+    explanation = explained("by day")
+    found = explanation.unnamed
+    assert found is not None
+    assert (found.drive, found.course) == ("gain", course_of("in a rhythm of 24 h"))
+    assert np.hypot(*found.size) == pytest.approx(0.7, rel=0.4)
+    assert np.arctan2(found.size[1], found.size[0]) * 24.0 / (2.0 * np.pi) == pytest.approx(7.0, abs=1.0)
+
+
+def test_the_hour_from_which_on_plants_grow_slower_is_told() -> None:
+    found = explained("late").unnamed
+    assert found is not None
+    assert found.drive == "growth"
+    assert found.course in [course_of(f"from {hour_h} h after the start on") for hour_h in (18, 24, 30)]
+    assert found.size[0] == pytest.approx(-0.6, abs=0.3)
+
+
+@pytest.mark.parametrize("which", sorted(HIDDEN))
+def test_no_name_is_given_with_confidence_to_what_has_none(which: str) -> None:
+    explanation = explained(which)
+    left = left_of(explanation, known())
+    causes = named(explanation, left)
+    assert left.is_much
+    assert left.unnamed is not None
+    assert verdict_of(causes, left) == "unexplained"
+    assert all(cause.confidence <= 0.5 for cause in causes)
+    assert left.unnamed.words in left_words(left, explanation, known())
+    assert left.unnamed.words in summary(causes, left)
+
+
+def test_something_besides_is_weighed_as_a_cause_would_be() -> None:
+    """A steady push is a cause with one number: both ways to its evidence and its size."""
+    scenes = scenes_of((86, 87), {"draught": {"drive_per_cm_h": 0.02}})
+    runs = [
+        ready(scene, base(), chance.covariances(scene, scene.answers(base().mean, Change())), together=2)
+        for scene in scenes
+    ]
+    joint = Joint(runs, base())
+    null = joint.fit(joint.null(), 12)
+    answers = [scene.answers(traits, Change()) for scene, traits in zip(scenes, null.traits, strict=True)]
+    cause = Cause(BY_NAME["draught"])
+    (push,) = cause.parameters
+    nats, size = joint.beside(null, [own.to["bias"].sum(axis=1)[:, None] for own in answers], push.spread)
+    look = search.best_start(joint, null, cause)
+    assert nats == pytest.approx(look.evidence - null.evidence, abs=0.5)
+    assert size[0] == pytest.approx(look.values()[0]["drive_per_cm_h"], rel=0.1)
+
+
+def test_moments_are_those_of_the_measured_run() -> None:
+    at = moments_of(still(turns(12.0, 6.0, "right"), first_cm=stem(10.0, 0.3)), np.array([0.5, 5.5, 6.5, 10.5]))
+    assert at.x_cm == pytest.approx(10.0 * np.sin(0.3))
+    assert at.height_cm == pytest.approx(10.0 * np.cos(0.3))
+    assert at.side.tolist() == [1.0, 1.0, -1.0, -1.0]
+    assert at.since_h == pytest.approx([0.5, 5.5, 0.5, 4.5], abs=0.01)
+    lasting = 1.0 - np.exp(-1.0)
+    after_six = moments_of(still(turns(12.0, 6.0, "right")), np.array([5.99])).history
+    assert after_six == pytest.approx(lasting, abs=0.01)
+    assert at.history[3] < 0.0 < at.history[2] < lasting
+
+
+@pytest.mark.parametrize("course", COURSES, ids=[course.where for course in COURSES])
+def test_courses_are_of_the_order_of_one_and_none_is_another(course: Course) -> None:
+    moments = moments_of(scene_of(5, light=turns(72.0, 1.7)), np.arange(0.5, 72.0, 1.0))
+    own = course.of(moments)
+    assert own.shape[0] == 72
+    assert 0.1 < np.abs(own).max() < 3.0
+    for other in COURSES:
+        its = other.of(moments)
+        if other is not course and its.shape == own.shape:
+            assert np.abs(own - its).max() > 0.05, other.where
+
+
+@pytest.mark.parametrize(
+    ("drive", "where", "size", "words"),
+    [
+        ("gain", "where the tip", [-0.4], "the answer to light is some 40 % lower where the tip is far off the middle"),
+        ("growth", "from 30 h", [0.25], "growth is some 25 % higher from 30 h after the start on"),
+        ("growth", "from 30 h", [-1.4], "growth is much lower from 30 h after the start on"),
+        ("bias", "from 30 h", [-0.01], "something bends stems to the left from 30 h after the start on"),
+        ("gain", "in a rhythm", [0.0, 0.5], "the answer to light is some 50 % higher in a rhythm of 24 h, most 6 h"),
+    ],
+)
+def test_it_is_said_in_words(drive: str, where: str, size: list[float], words: str) -> None:
+    found = Unnamed(drive, course_of(where), 30.0, np.array(size))
+    assert found.words.startswith(words)
+    assert found.evidence == "with it the runs are e^30 times as probable as without"
