@@ -6,6 +6,7 @@ from pathlib import Path
 
 from flora_common import files
 from flora_common.errors import BadInput
+from flora_common.toml_strict import T, convert, read_toml
 
 
 def must_be_new(path: Path) -> None:
@@ -35,6 +36,24 @@ def check_output(
     names = {entry.name for entry in path.iterdir()} if path.is_dir() and not path.is_symlink() else set()
     if not needed <= names <= needed | allowed:
         raise BadInput(f"{path}: is not {what} and is not replaced; name another folder with -o")
+
+
+def read_info(path: Path, into: type[T], wanted: int | str) -> T:
+    """The information file of such a folder.
+
+    Args:
+        path: of the file.
+        into: what it must hold.
+        wanted: its ``format``; told first, for a file of another one holds other things.
+
+    Raises:
+        BadInput: it cannot be read, is of another format, or holds something else.
+    """
+    table = read_toml(path, BadInput)
+    found = table.get("format")
+    if found != wanted:
+        raise BadInput(f"{path}: format {str(found)[:30]} is not known; this program reads {wanted}")
+    return convert(table, into, where=str(path), error=BadInput)
 
 
 def read_named(path: Path, sha256: str, info_name: str) -> bytes:

@@ -115,7 +115,9 @@ def test_results_do_not_depend_on_threads(threads: int) -> None:
         one = evaluate(genomes, mechanistic(), short, plants)
         several = evaluate(genomes, mechanistic(), short, plants, threads=threads)
         assert same(several.outcomes, one.outcomes)
-        assert several.steps_run >= one.steps_run
+        assert several.steps_run == one.steps_run
+        each = evaluate(genomes, mechanistic(), short, plants, share=False, threads=threads)
+        assert each.steps_run == one.episode_steps > one.steps_run
     with pytest.raises(ValueError, match="0 threads"):
         evaluate(genomes, mechanistic(), short, threads=0)
 

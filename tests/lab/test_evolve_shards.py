@@ -13,7 +13,8 @@ from evolve_genomes import INPUTS, genome_config, random_genomes
 from flora_lab.evolve.evaluate import Evaluated, evaluate
 from flora_lab.evolve.genome_arrays import GenomeArrays, pack
 from flora_lab.evolve.individuals import Individuals
-from flora_lab.evolve.shards import divided, from_bytes, joined, shard_count, shared_steps, to_bytes
+from flora_lab.evolve.shards import divided, from_bytes, joined, shard_count, to_bytes
+from flora_lab.evolve.shared_steps import shared_steps
 from flora_lab.simulator.load import load
 
 

@@ -19,12 +19,12 @@ import numpy.typing as npt
 
 from flora_common import files
 from flora_common.errors import BadInput
-from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_common.toml_strict import to_toml
 from flora_lab import made_folders
 from flora_lab.dataset.build import Built
 from flora_lab.dataset.pairs import COORDINATES, Pairs
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe
-from flora_lab.made_folders import read_named
+from flora_lab.made_folders import read_info, read_named
 from flora_lab.run_tracks import RunTrack
 
 FORMAT: Final = 1
@@ -162,10 +162,7 @@ def read_dataset(path: Path) -> Dataset:
         raise BadInput(f"{path}: no such training set")
     if not info_path.is_file():
         raise BadInput(f"{path}: not a training set, it has no {INFO_FILE}")
-    table = read_toml(info_path, BadInput)
-    if table.get("format") != FORMAT:
-        raise BadInput(f"{info_path}: format {str(table.get('format'))[:20]} is not known; this program reads {FORMAT}")
-    info = convert(table, DatasetFile, where=str(info_path), error=BadInput)
+    info = read_info(info_path, DatasetFile, FORMAT)
     data = read_named(data_path, info.data_sha256, INFO_FILE)
     arrays = _arrays(data_path, data, info.vectors)
     pairs = Pairs(**arrays)

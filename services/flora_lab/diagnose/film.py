@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,18 +17,16 @@ from flora_lab.diagnose.figure_parts import MEASURED, legend
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.residuals import ResidualTables
 from flora_lab.figure_style import BLUE, LAMP_COLOURS, ORANGE, drawable, new_figure
+from flora_lab.gif import gif
 
 FRAMES: Final = 73
 """One an hour for a run of three days."""
 FRAME_MS: Final = 130
-LAST_FRAME_MS: Final = 2500
 MOST_PANELS: Final = 4
 WIDE_IN: Final = 9.6
 WIDEST_PANEL_IN: Final = 3.2
 TALLEST_IN: Final = 4.4
 DPI: Final = 100
-COLOURS: Final = 40
-"""Of the film's palette: edges of lines are smooth with as many, and a frame takes few bytes."""
 MARGIN_CM: Final = 0.8
 HEAD_CM: Final = 3.0
 TRAIL_H: Final = 12.0
@@ -73,7 +70,7 @@ def film(base: ResidualTables, extended: ResidualTables | None) -> bytes:
             panel.show(float(moment_h))
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
-    return _gif(pictures)
+    return gif(pictures, frame_ms=FRAME_MS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,17 +110,3 @@ class _Panel:
         for lamp, circle in enumerate(self.lamps):
             shines = self.run.light[row, lamp] > 0.0
             circle.set_facecolor(LAMP_COLOURS[LAMPS[lamp]] if shines else "white")
-
-
-def _gif(pictures: list[Image.Image]) -> bytes:
-    """All in the colours of the first and the last one, white among them."""
-    wide, high = pictures[0].size
-    sheet = Image.new("RGB", (wide, 2 * high + 64), "white")
-    sheet.paste(pictures[0], (0, 0))
-    sheet.paste(pictures[-1], (0, high))
-    palette = sheet.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    durations = [FRAME_MS] * (len(flat) - 1) + [LAST_FRAME_MS]
-    data = io.BytesIO()
-    flat[0].save(data, format="GIF", save_all=True, append_images=flat[1:], duration=durations, loop=0)
-    return data.getvalue()

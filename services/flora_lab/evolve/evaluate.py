@@ -20,6 +20,7 @@ from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.plant_looks import NOT_FINITE, scenarios_of
 from flora_lab.evolve.plants_kinds import plants_of
 from flora_lab.evolve.shared_kernel import Episodes, run_shared
+from flora_lab.evolve.shared_steps import shared_steps
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 
@@ -35,7 +36,7 @@ class Evaluated:
 
     Attributes:
         outcomes: shapes (genomes, scenarios, plants).
-        steps_run: of plants, those that several episodes share counted once.
+        steps_run: of plants, those that several episodes share counted once, as one thread takes them.
     """
 
     outcomes: Outcomes
@@ -66,7 +67,8 @@ def evaluate(
         task: scenarios, start and end.
         individuals: the plants; the typical one where nothing is said.
         share: simulate a plant that several episodes have in common once; the results are the same without it.
-        threads: how many to use. Each takes some of the genomes, and only those share plants; the results are the same.
+        threads: how many to use. Each takes some of the genomes, and only those share plants; the results are the same,
+            with the steps that one thread takes.
 
     Raises:
         BadInput: a simulator of a kind that has no compiled form or no individuals, or that gives a stem that is not
@@ -96,7 +98,8 @@ def evaluate(
     if (episodes.reason == NOT_FINITE).any():
         raise BadInput(f"the simulator gives a stem that is not finite, task {task.name}; train it again")
     episodes.fitness[:] = scored(task, episodes.fitness, episodes.reason)
-    return Evaluated(Outcomes(*(np.moveaxis(array, 0, 2) for array in episodes)), steps_run)
+    outcomes = Outcomes(*(np.moveaxis(array, 0, 2) for array in episodes))
+    return Evaluated(outcomes, shared_steps(outcomes) if share and len(parts) > 1 else steps_run)
 
 
 def _room(plants: int, genomes: int, task: Task) -> Episodes:

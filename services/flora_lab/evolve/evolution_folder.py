@@ -27,7 +27,6 @@ import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
-from flora_common.toml_strict import convert, read_toml
 from flora_common.tracks import read_track
 from flora_lab import made_folders
 from flora_lab.evolve.episode import Reason
@@ -233,12 +232,7 @@ def read_evolution(path: Path) -> Evolution:
     """
     if not (path / INFO_FILE).is_file():
         raise BadInput(f"{path}: not an evolution, it has no {INFO_FILE}; make one with `flora-lab evolve`")
-    table = read_toml(path / INFO_FILE, BadInput)
-    if table.get("format") != FORMAT:
-        raise BadInput(
-            f"{path / INFO_FILE}: format {str(table.get('format'))[:30]} is not known; this program reads {FORMAT}"
-        )
-    info = convert(table, EvolutionFile, where=str(path / INFO_FILE), error=BadInput)
+    info = made_folders.read_info(path / INFO_FILE, EvolutionFile, FORMAT)
     task = read_task(path / TASK_FILE)
     scenarios = {scenario.name: scenario for scenario in task.scenarios}
     if [entry.scenario for entry in info.episode] != list(scenarios) or len(info.run) != info.runs:

@@ -10,16 +10,14 @@ from __future__ import annotations
 import pickle
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from flora_lab.evolve.episode import Outcomes
 from flora_lab.evolve.evaluate import Evaluated
 from flora_lab.evolve.genome_arrays import GenomeArrays
-
-Array = npt.NDArray[Any]
+from flora_lab.evolve.shared_steps import shared_steps
 
 LEAST_GENOMES: Final = 500
 """In a part. docs/how-to/evolve-on-many-machines.md has what smaller ones cost."""
@@ -61,19 +59,6 @@ def joined(parts: Sequence[Evaluated]) -> Evaluated:
     return Evaluated(outcomes, shared_steps(outcomes))
 
 
-def shared_steps(outcomes: Outcomes) -> int:
-    """Steps of plants when each plant that episodes have in common is simulated once.
-
-    Two episodes have a plant in common as long as the same lamps shone: counted are the different beginnings of all
-    histories of light, for each plant.
-    """
-    total = 0
-    for plant in range(outcomes.steps.shape[2]):
-        is_right = outcomes.is_right[:, :, plant].reshape(-1, outcomes.is_right.shape[-1])
-        total += _beginnings(is_right, outcomes.steps[:, :, plant].ravel())
-    return total
-
-
 def to_bytes(evaluated: Evaluated) -> bytes:
     """For the way between machines; eight lamps in a byte, for they are most of it."""
     outcomes = evaluated.outcomes
@@ -107,18 +92,3 @@ def _part(genomes: GenomeArrays, first: int, end: int) -> GenomeArrays:
         weight=genomes.weight[edges],
         output=genomes.output[first:end],
     )
-
-
-def _beginnings(is_right: Array, steps: Array) -> int:
-    """How many different beginnings the first ``steps`` of each row have; shapes (n, most steps) and (n,).
-
-    In alphabetical order each row adds what goes beyond its beginning in common with the row before.
-    """
-    lamps = is_right & (np.arange(is_right.shape[1]) < steps[:, None])
-    length = steps.astype(">u4").view(np.uint8).reshape(-1, 4)
-    keys = np.ascontiguousarray(np.hstack([np.packbits(lamps, axis=1), length]))
-    order = np.argsort(keys.view(np.dtype((np.void, keys.shape[1]))).ravel(), kind="stable")
-    lamps, steps = lamps[order], steps[order]
-    differs = lamps[1:] != lamps[:-1]
-    first = np.where(differs.any(axis=1), differs.argmax(axis=1), is_right.shape[1])
-    return int(steps.sum() - np.minimum(first, np.minimum(steps[1:], steps[:-1])).sum())

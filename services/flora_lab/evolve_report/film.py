@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -23,18 +22,14 @@ from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
 from flora_lab.evolve_report.scene import Window, draw_lamps, draw_scenario, light_lamps, side, window_of
 from flora_lab.figure_style import TARGET, new_figure
+from flora_lab.gif import gif
 
 FRAMES: Final = 60
 FRAME_MS: Final = 120
-LAST_FRAME_MS: Final = 2500
 MOST_PANELS: Final = 6
 COLUMNS: Final = 4
 PANEL_WIDE_IN: Final = 2.4
 DPI: Final = 100
-COLOURS: Final = 48
-"""Of the film's palette: edges of lines are smooth with as many, and a frame takes few bytes."""
-NEARLY: Final = 8
-"""Steps of 255: Pillow looks colours up in cells of 4 steps, and may take a neighbour for the colour itself."""
 STEM: Final = "#1d7a33"
 
 
@@ -58,7 +53,7 @@ def episodes_film(episodes: Sequence[EpisodeTrack], task: Task) -> bytes:
     panels = [_Panel.on(ax, episode, task, window) for ax, episode in zip(axes, shown, strict=False)]
     longest_s = max(float(episode.time_s[-1] - episode.time_s[0]) for episode in shown)
     moments = np.linspace(0.0, longest_s, min(FRAMES, max(len(episode.time_s) for episode in shown)))
-    return _gif(_pictures(figure, panels, clock, moments.tolist()))
+    return gif(_pictures(figure, panels, clock, moments.tolist()), frame_ms=FRAME_MS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,27 +127,3 @@ def _pictures(figure: Figure, panels: list[_Panel], clock: Text, moments: list[f
             panel.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
     return pictures
-
-
-def _gif(pictures: list[Image.Image]) -> bytes:
-    """All in the colours of the first, a middle and the last one."""
-    picked = [pictures[place] for place in sorted({0, len(pictures) // 2, len(pictures) - 1})]
-    wide, high = pictures[0].size
-    sheet = Image.new("RGB", (wide, high * len(picked)))
-    for k, picture in enumerate(picked):
-        sheet.paste(picture, (0, k * high))
-    palette = sheet.quantize(COLOURS, dither=Image.Dither.NONE)
-    _keep_background(palette, pictures[0])
-    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    durations = [FRAME_MS] * (len(flat) - 1) + [LAST_FRAME_MS]
-    data = io.BytesIO()
-    flat[0].save(data, format="GIF", save_all=True, append_images=flat[1:], duration=durations, loop=0)
-    return data.getvalue()
-
-
-def _keep_background(palette: Image.Image, picture: Image.Image) -> None:
-    """Give the corner's own colour to all of the palette's that are nearly like it: pages are of the same white."""
-    exact = np.asarray(picture)[0, 0].astype(np.int64)
-    colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[(np.abs(colours - exact) <= NEARLY).all(axis=1)] = exact
-    palette.putpalette(colours.ravel().tolist())

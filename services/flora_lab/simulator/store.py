@@ -20,9 +20,9 @@ import safetensors.numpy
 
 from flora_common import files
 from flora_common.errors import BadInput
-from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_common.toml_strict import to_toml
 from flora_lab import made_folders
-from flora_lab.made_folders import read_named
+from flora_lab.made_folders import read_info, read_named
 
 FORMAT: Final = 1
 SUFFIX: Final = ".simulator"
@@ -232,10 +232,7 @@ def read_stored(path: Path) -> Stored:
         raise BadInput(f"{path}: no such simulator folder")
     if not info_path.is_file():
         raise BadInput(f"{path}: not a simulator, it has no {INFO_FILE}; make one with `flora-lab train`")
-    table = read_toml(info_path, BadInput)
-    if table.get("format") != FORMAT:
-        raise BadInput(f"{info_path}: format {str(table.get('format'))[:20]} is not known; this program reads {FORMAT}")
-    info = convert(table, SimulatorFile, where=str(info_path), error=BadInput)
+    info = read_info(info_path, SimulatorFile, FORMAT)
     data = read_named(weights_path, info.weights_sha256, INFO_FILE)
     try:
         weights = safetensors.numpy.load(data)
