@@ -136,8 +136,8 @@ def test_sizes_stay_within_what_is_possible() -> None:
     wild = sizes_of([100.0 * np.cos(np.arange(m) + i) for i in range(3)], own, none, sizes_expected())
     for sizes in (quiet, wild):
         assert np.isfinite(sizes).all()
-        assert sizes[NAMES.index("measure_cm")] >= chance.SMALLEST_MEASURE_CM * (1.0 - 1e-9)
-    assert (quiet <= sizes_expected()).all()
+        assert all(size >= part.least * (1.0 - 1e-9) for size, part in zip(sizes, PARTS, strict=True))
+    assert (quiet <= sizes_expected() * (1.0 + 1e-9)).all()
     assert sum(by_drive(wild).values()) > 5.0 * sum(by_drive(sizes_expected()).values())
 
 

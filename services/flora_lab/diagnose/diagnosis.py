@@ -55,6 +55,25 @@ class Residuals(msgspec.Struct, frozen=True):
     left: str = ""
 
 
+class Described(msgspec.Struct, frozen=True):
+    """What seems to be at work that is no cause of the catalogue.
+
+    Attributes:
+        drive: which part of the law is off: ``gain`` (the answer to light), ``growth`` or ``bias`` (of bending).
+        follows: what it follows, in words.
+        size: by how much, as a share, or in 1/(cm h) for ``bias``; two numbers for a rhythm of 24 h, of its cosine and
+            its sine.
+        nats: evidence beyond that without it.
+        description: all of it as a clause.
+    """
+
+    drive: str
+    follows: str
+    size: list[float]
+    nats: float
+    description: str
+
+
 class Gain(msgspec.Struct, frozen=True):
     """Errors in mm on runs that no fit has seen, by simulator: ``base``, ``extended``, ``boosted``.
 
@@ -103,6 +122,8 @@ class Diagnosis(msgspec.Struct, frozen=True):
     record: list[str] = []
     """What was found in the record before anything else: gaps, stems that were found wrongly."""
     runs: list[str] = []
+    described: Described | None = None
+    """What has no name but can be described; None where nothing else seems to be at work."""
     base: dict[str, Any] = {}
     """What the simulator was learned from, and what is known of it."""
     format: int = 1

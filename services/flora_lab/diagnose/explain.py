@@ -22,11 +22,12 @@ from flora_lab.effects.effect import Change, Effect
 Array = npt.NDArray[Any]
 
 CLAIM: Final = 5.0
-"""Nats of evidence that a cause needs beyond none."""
-MORE: Final = 2.0
-"""Nats that each further cause needs beyond that."""
+"""Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
+FORM: Final = 0.03
+"""Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
+looks like something else. A camera or a clock that is off has no form."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 BETTER: Final = 4.0
@@ -93,7 +94,7 @@ class Explanation:
         stages: how it was come to.
         accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
-        claim: nats that a first cause had to have.
+        claim: nats that a cause had to have.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
     """
 
@@ -164,7 +165,8 @@ class Explainer:
 
     def _needed(self, accepted: Sequence[Accepted]) -> float:
         """Nats that one cause more must have."""
-        return self.claim + (MORE if accepted else 0.0)
+        of_form = [one.tried.gain for one in accepted if one.tried.swing is None and one.tried.effect.where == "plant"]
+        return self.claim + FORM * sum(of_form)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -177,7 +179,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= self._needed(accepted):
+            if found.evidence - less.evidence >= self.claim:
                 continue
             found = less
             accepted.remove(earlier)

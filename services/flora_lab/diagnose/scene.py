@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
+from flora_lab.diagnose.first_stem import first_stem
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
@@ -35,8 +36,6 @@ Array = npt.NDArray[Any]
 FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0), (1, 0))
 """Point and axis of what is compared. Heights of the points between follow from the tip's."""
 WINDOW_H: Final = 1.0
-FIRST_ROWS: Final = 3
-"""The first stem is the mean of so many: all that follows starts from it."""
 TOLD_STEPS: Final = 3
 """Simulated stems are told after every so many steps: the mean over an hour is that of all, at a third of the price."""
 KNOT_H: Final = {"bias": 0.5, "gradient": 1.0, "growth": 1.0, "gain": 1.0}
@@ -106,8 +105,7 @@ class Scene:
         self.warmth_c = np.zeros(self.steps)
         if warm is not None and usual_c is not None:
             self.warmth_c = np.nan_to_num(warm[: self.steps] - usual_c)
-        first = run.points_cm[:FIRST_ROWS]
-        self.first_cm = np.nanmean(first, axis=0)
+        self.first_cm = first_stem(run.points_cm)
         self._length, self._angle, self._count = rods_through(self.first_cm[None])
         tip_x_cm, tip_y_cm = self.first_cm[-1]
         self.first = np.array([np.log(self._length.sum()), np.arctan2(tip_x_cm, tip_y_cm)])

@@ -12,7 +12,7 @@ import msgspec
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
-from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause, NextExperiment, Residuals
+from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import SWING, Explainer, Explanation
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
@@ -185,6 +185,7 @@ def diagnose(
         gain=gain,
         next_experiment=asked,
         summary=summary(causes, left),
+        described=_described(left),
         record=list(runs.notes),
         runs=[str(track.file) for track in runs.tracks],
         base={"learned_from": start.learned_from, **_base_words(start.known)},
@@ -220,6 +221,14 @@ def _extended(scenes: Sequence[Scene], known: Knowledge, explanation: Explanatio
 
 def _with_left(said: Residuals, left: Left, explanation: Explanation, known: Knowledge) -> Residuals:
     return msgspec.structs.replace(said, left=left_words(left, explanation, known))
+
+
+def _described(left: Left) -> Described | None:
+    found = left.unnamed
+    if found is None:
+        return None
+    size = [round(float(value), 4) for value in found.size]
+    return Described(found.drive, found.course.where, size, round(found.gain, 1), found.words)
 
 
 def _provenance(told: Runs, words: str) -> Provenance:
