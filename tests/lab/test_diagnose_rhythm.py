@@ -152,3 +152,11 @@ def test_what_is_expected_is_what_makes_spectra_most_probable() -> None:
 )
 def test_a_swing_at_the_edge_or_of_no_size_is_none(period_h: float, amplitude_cm: float, wanted: bool) -> None:
     assert is_plausible(Swing(period_h, amplitude_cm, 6.0, 99.0, (1.0, 3.0), (0.0, 1.0))) == wanted
+
+
+def test_of_a_swing_across_a_leaning_tip_only_a_part_is_sideways() -> None:
+    spectra = [spectrum(noise(seed) + 0.5 * np.sin(2.0 * np.pi * TIME_H / 1.64 + seed), STEP_H) for seed in (1, 2, 3)]
+    usual_power = [healthy().expected(none_moves())] * 3
+    upright, leaning = (best_swing(spectra, usual_power, share) for share in (None, [0.64] * 3))
+    assert leaning.amplitude_cm == pytest.approx(upright.amplitude_cm / 0.8)
+    assert leaning.period_h == upright.period_h

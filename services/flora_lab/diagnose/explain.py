@@ -220,7 +220,7 @@ class Explainer:
             rest, moved = spectra_of(scene, before, i)
             left.append(rest)
             expected.append(self.known.swings.expected(moved))
-        swing = rhythm.best_swing(left, expected)
+        swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
         return Tried(BY_NAME[SWING], gain, None, swing)

@@ -142,12 +142,15 @@ def improbability(own: Spectrum, expected: Array) -> float:
     return float((np.log(expected) + own.power / expected).sum())
 
 
-def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swing:
+def best_swing(
+    spectra: Sequence[Spectrum], usual_power: Sequence[Array], sideways: Sequence[float] | None = None
+) -> Swing:
     """The swing, of one period and amplitude in all runs, that explains their spectra best.
 
     Args:
         spectra: of the runs.
         usual_power: what is expected without it, one array per run.
+        sideways: how much of a swing's power is sideways in each run, the rest being up and down; all where None.
     """
     ends = 1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0]
     tried = np.arange(ends[0], ends[1], PER_HOUR)
@@ -167,7 +170,8 @@ def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swi
     weights = np.exp(top - top.max())
     by_period = weights.sum(axis=1)
     period = _middle(1.0 / tried[::-1], by_period[::-1])
-    amplitude_cm, interval_cm = _amplitude(spectra, usual_power, 1.0 / period[1])
+    shares = [1.0] * len(spectra) if sideways is None else sideways
+    amplitude_cm, interval_cm = _amplitude(spectra, usual_power, shares, 1.0 / period[1])
     return Swing(
         period_h=period[1],
         amplitude_cm=amplitude_cm,
@@ -179,17 +183,17 @@ def best_swing(spectra: Sequence[Spectrum], usual_power: Sequence[Array]) -> Swi
 
 
 def _amplitude(
-    spectra: Sequence[Spectrum], usual_power: Sequence[Array], per_hour: float
+    spectra: Sequence[Spectrum], usual_power: Sequence[Array], sideways: Sequence[float], per_hour: float
 ) -> tuple[float, tuple[float, float]]:
     """Amplitude of a swing, cm, with its interval of 90 %: from all the power about its frequency that is not usual.
 
     Its line is as wide as its phase drifts and its size grows, which no shape of a line would know beforehand.
     """
     squares = []
-    for own, expected in zip(spectra, usual_power, strict=True):
+    for own, expected, share in zip(spectra, usual_power, sideways, strict=True):
         near = np.abs(np.log(own.per_hour / per_hour)) < _ABOUT
         spacing = float(own.per_hour[1] - own.per_hour[0])
-        squares.append(4.0 * spacing * float((own.power[near] - expected[near]).sum()))
+        squares.append(4.0 * spacing * float((own.power[near] - expected[near]).sum()) / share)
     amplitude = math.sqrt(max(float(np.mean(squares)), 1e-8))
     own_cm = np.sqrt(np.maximum(np.array(squares), 1e-8))
     sd = float(np.hypot(np.std(own_cm) / np.sqrt(max(len(own_cm) - 1, 1)), _AMPLITUDE_SHARE * amplitude))

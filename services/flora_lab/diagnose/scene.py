@@ -129,6 +129,13 @@ class Scene:
         return bool(np.ptp(self.warmth_c) > 0.5)
 
     @property
+    def sideways(self) -> float:
+        """How much of the power of a swing across the tip is sideways: mean square of the cosine of its lean."""
+        ahead = self.run.points_cm[:, -1] - self.run.points_cm[:, -3]
+        ahead = ahead[np.isfinite(ahead).all(axis=1)]
+        return float(np.mean(ahead[:, 1] ** 2 / np.maximum((ahead**2).sum(axis=1), 1e-12)))
+
+    @property
     def size(self) -> int:
         """Number of features."""
         return len(self.features)

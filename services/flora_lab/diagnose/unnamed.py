@@ -25,6 +25,7 @@ _SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
 """How large each drive is looked for, standard deviation."""
 _OFF_CM: Final = 3.0
 _LEAN_CM: Final = 5.0
+_BESIDE_CM: Final = 2.0
 _MIDDLE_HEIGHT_CM: Final = 13.0
 _HEIGHT_CM: Final = 8.0
 _DAY_H: Final = 24.0
@@ -121,6 +122,10 @@ def _day(at: Moments) -> Array:
     return np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
 
+def _farther(side: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: np.maximum(side * at.x_cm - _BESIDE_CM, 0.0) / _LEAN_CM)
+
+
 def _after(hour_h: float) -> Callable[[Moments], Array]:
     return _column(lambda at: (at.time_h > hour_h).astype(np.float64))
 
@@ -147,6 +152,14 @@ COURSES: Final = (
         f"for each {_LEAN_CM:.0f} cm that the tip is to the right",
         ("gain", "growth", "bias"),
         _column(lambda at: at.x_cm / _LEAN_CM),
+    ),
+    *(
+        Course(
+            f"for each {_LEAN_CM:.0f} cm that the tip is farther {name} than {_BESIDE_CM:.0f} cm",
+            ("gain", "growth", "bias"),
+            _farther(side),
+        )
+        for name, side in (("left", -1.0), ("right", 1.0))
     ),
     Course(
         f"for each {_HEIGHT_CM:.0f} cm that the tip is higher",
