@@ -282,3 +282,9 @@ def test_answers_tell_what_a_small_push_does(name: str, size: float) -> None:
     moved = pushed - base
     assert np.abs(moved).max() > 0.005
     assert np.abs(moved - told.to[name] @ knots).max() < 0.1 * np.abs(moved).max()
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 30.0, -60.0])
+def test_a_leaning_tip_swings_sideways_by_a_part(lean_deg: float) -> None:
+    scene = still(turns(3.0, 1.0), first_cm=stem(10.0, np.radians(lean_deg)))
+    assert scene.sideways == pytest.approx(np.cos(np.radians(lean_deg)) ** 2)

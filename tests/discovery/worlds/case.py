@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -101,6 +102,7 @@ def draw_case(
     effect: str | None = None,
     hours: float = HOURS,
     held_out: int = HELD_OUT,
+    light: Sequence[str] = (),
 ) -> Case:
     """A whole case, the same for the same arguments.
 
@@ -116,6 +118,8 @@ def draw_case(
         effect: the name of the effect of a ``single`` or ``outside`` case; drawn where missing.
         hours: length of each run.
         held_out: further runs with the effect.
+        light: schedule of each measured run, see :func:`.schedules.draw_schedule`; a mixture where empty. Which plants
+            are measured does not depend on it.
 
     Raises:
         BadInput: an unknown form, kind or effect, or numbers that make no case.
@@ -137,7 +141,7 @@ def draw_case(
         kind,
         hidden,
         _runs(species, 0, loops, ()),
-        _runs(species, 1, mixed, hidden),
+        _runs(species, 1, list(light) or mixed, hidden),
         tests,
         _oracle(species, tests, hidden),
     )

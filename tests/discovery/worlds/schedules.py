@@ -17,7 +17,7 @@ def draw_schedule(rng: np.random.Generator, kind: str, hours: float) -> np.ndarr
 
     Args:
         rng: where chance comes from; the first lamp is drawn too.
-        kind: one of :data:`OPEN_LOOPS`, or ``closed_loop``.
+        kind: one of :data:`OPEN_LOOPS`, ``closed_loop``, or turns of equal hours, such as ``24h``.
         hours: of the run.
     """
     rows = round((hours + SPARE_H) * HOUR_S / ROW_S)
@@ -29,6 +29,8 @@ def draw_schedule(rng: np.random.Generator, kind: str, hours: float) -> np.ndarr
     while at < rows:
         if kind == "six_hour":
             dwell_h = 6.0
+        elif kind.endswith("h"):
+            dwell_h = float(kind.removesuffix("h"))
         elif kind == "random_dwell":
             dwell_h = float(np.exp(rng.uniform(np.log(0.5), np.log(10.0))))
         else:
