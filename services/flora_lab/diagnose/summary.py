@@ -18,7 +18,7 @@ def summary(causes: Sequence[NamedCause], left: Left) -> str:
     """What was found."""
     if not causes:
         if left.unnamed is not None:
-            return f"Something is at work that is not in the catalogue, as if {left.unnamed.words}."
+            return f"Something is at work that is not in the catalogue. A description that fits: {left.unnamed.words}."
         if left.is_much:
             return (
                 "The runs differ from the simulation by more than chance, and by nothing in the catalogue: what is "
@@ -29,7 +29,7 @@ def summary(causes: Sequence[NamedCause], left: Left) -> str:
         )
     told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes)
     if left.unnamed is not None:
-        return f"{told}. But something else is at work, as if {left.unnamed.words}."
+        return f"{told}. But something else is at work. A description that fits: {left.unnamed.words}."
     if left.is_much:
         return f"{told}. But much is left: {left.share:.1f} times what reference runs leave. Something else is at work."
     return f"{told}."

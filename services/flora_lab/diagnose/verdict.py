@@ -101,7 +101,7 @@ def left_words(left: Left, explanation: Explanation, known: Knowledge) -> str:
         return ""
     told = []
     if left.unnamed is not None:
-        told.append(f"It is as if {left.unnamed.words}: {left.unnamed.evidence}. That describes it, and is no cause.")
+        told.append(f"A description that fits, but names no cause: {left.unnamed.words} ({left.unnamed.evidence}).")
     if left.p_value < _LEFT_P:
         told.append(
             f"What the best explanation leaves is {left.share:.1f} times what a reference run leaves by itself "
