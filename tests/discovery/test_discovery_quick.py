@@ -36,11 +36,13 @@ LOUD = (
 )
 """Effects that three runs tell nearly always at typical strength. What is as large as plants differ is counted by
 `make discovery`, over many cases."""
+LASTING = ("gain_rhythm", "light_history", "growth_stop", "tip_broken", "shadow")
 HIDDEN = ((0, 7_001), (0, 7_002), (0, 7_003), (1, 7_004))
 """Form of the physics, and seed; how strong the effect is follows from the seed."""
 WHICH = 7_000
 """Seed that decides on the effects."""
 NOTHING = ((0, 7_101), (1, 7_102))
+OUTSIDE = (0, 7_201)
 LEAST_RIGHT = 3
 
 
@@ -88,3 +90,12 @@ def test_most_hidden_effects_are_named_first(tmp_path: Path) -> None:
 def test_healthy_runs_are_left_alone(form: int, seed: int, tmp_path: Path) -> None:
     answer = _answer(draw_case(seed, form=form, kind="none"), tmp_path / "case")
     assert answer.verdict == "nothing_wrong", [c.evidence for c in answer.causes]
+
+
+def test_what_is_outside_the_catalogue_gets_no_name(tmp_path: Path) -> None:
+    """Of what follows the clock or the light, which hits the whole run: a wall may never be touched."""
+    form, seed = OUTSIDE
+    effect = str(np.random.default_rng(seed).choice(LASTING))
+    answer = _answer(draw_case(seed, form=form, kind="outside", effect=effect), tmp_path / "case")
+    assert answer.verdict == "unexplained", effect
+    assert all(cause.confidence < 0.5 for cause in answer.causes), [c.evidence for c in answer.causes]
