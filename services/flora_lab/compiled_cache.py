@@ -16,6 +16,8 @@ from typing import Final
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
 _PREFIX: Final = "numba-"
+_COMPILED: Final = (b"jit", b"numba", b"inlined")
+"""Words of which a file has one if it holds compiled functions, or hands some on."""
 
 
 def use_cache_of(package: Path) -> None:
@@ -44,7 +46,7 @@ def fingerprint(package: Path) -> str:
     found = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         data = path.read_bytes()
-        if b"jit" in data or b"numba" in data:
+        if any(word in data for word in _COMPILED):
             found.update(f"{path.relative_to(package)}\0{len(data)}\0".encode())
             found.update(data)
     return found.hexdigest()[:16]

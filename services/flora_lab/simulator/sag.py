@@ -10,7 +10,6 @@ import numpy.typing as npt
 from flora_lab.simulator.fast_functions import fast_exp, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.rod import CAPACITY, along, directions, whole_registers
-from flora_lab.simulator.tropism import MATURE, MATURE_EDGE_CM, PROPRIO
 
 Array = npt.NDArray[Any]
 
@@ -19,22 +18,22 @@ SOFTNESS_CM: Final = 5.0
 How far from the tip a stem still bends by growing is another matter, and fitted."""
 _MOST_SAG: Final = 0.5
 """The elastic bend of one joint, rad, beyond which no stem is taken to go in one step."""
+_MOST_TIMES: Final = 24
+_STILL: Final = 1e-6
+"""How often a stem bends again under its own bend, at most, and the angle, rad, below which it is at rest."""
 
 
 @inlined
-def elastic_bends(length: Array, angle: Array, n: int, sag: float, deep: Array, soft: Array, out: Array) -> None:
-    """The elastic bend of each joint under the weight above it, rad; ``out`` is written.
-
-    Also written, of each joint: ``deep``, how far below the tip it is, cm, and ``soft``, how soft, 1 at the tip.
-    """
+def elastic_bends(length: Array, angle: Array, n: int, sag: float, out: Array) -> None:
+    """The elastic bend of each joint under the weight above it, rad; ``out`` is written."""
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     directions(length, angle, n, sin, cos, x, y)
+    soft = scratch(np.float64, CAPACITY)
     for j in range(whole_registers(n)):
-        deep[j] = total - arc[j]
-        soft[j] = fast_exp(-deep[j] / SOFTNESS_CM)
+        soft[j] = fast_exp(-(total - arc[j]) / SOFTNESS_CM)
     weight = lean = 0.0
     for i in range(n):
         j = n - 1 - i
@@ -46,13 +45,26 @@ def elastic_bends(length: Array, angle: Array, n: int, sag: float, deep: Array, 
 
 
 @inlined
-def straightened(n: int, p: Array, elastic: Array, deep: Array, soft: Array, bend_h: float, out: Array) -> None:
-    """What proprioception takes of an elastic bend in a step, as if growth had made it, rad; ``out`` is written.
+def settle(length: Array, angle: Array, n: int, sag: float, before: Array) -> None:
+    """Bend a stem that has grown until its elastic bends are those of the shape that it then has, in place.
 
-    Tissue that grows straightens what growth has bent. Elastic bend it cannot grow away: there is always as much of it
-    as there is weight, so that it has to be given back.
+    A stem that bends leans farther, and then bends more. What it would bend more by is not there to be added in a later
+    step, which begins from the shape as it is: left out, half of a soft stem's sag would be lost.
+
+    Args:
+        length, angle, n: the stem, before it bends.
+        sag: see :func:`elastic_bends`.
+        before: bends that are in its angles already, rad, shape (CAPACITY,).
     """
-    for j in range(whole_registers(n)):
-        out[j] = soft[j] / (1.0 + fast_exp((deep[j] - p[MATURE]) / MATURE_EDGE_CM)) * bend_h * p[PROPRIO]
+    grown, now = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     for j in range(n):
-        out[j] *= elastic[j]
+        grown[j] = angle[j]
+    for _ in range(_MOST_TIMES):
+        elastic_bends(length, angle, n, sag, now)
+        turn = moved = 0.0
+        for j in range(n):
+            turn += now[j] - before[j]
+            moved = max(moved, abs(grown[j] + turn - angle[j]))
+            angle[j] = grown[j] + turn
+        if moved < _STILL:
+            break

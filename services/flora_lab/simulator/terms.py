@@ -33,7 +33,7 @@ from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane
-from flora_lab.simulator.sag import elastic_bends, straightened
+from flora_lab.simulator.sag import elastic_bends, settle
 from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
@@ -151,11 +151,9 @@ def extended_step_lane(
     factor = _growth_factor(time_h, warmth_c, t)
     activity = 1.0 if t[ACTIVITY] == 0.0 else float(factor ** t[ACTIVITY])
     memory[_CLOCK, 0] = time_h + dt_h
-    before, taken = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    deep, soft = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    before = scratch(np.float64, CAPACITY)
     if t[SAG] != 0.0:
-        elastic_bends(length, angle, n, t[SAG], deep, soft, before)
-        straightened(n, p, before, deep, soft, dt_h * activity, taken)
+        elastic_bends(length, angle, n, t[SAG], before)
     segments = driven_step_lane(
         length,
         angle,
@@ -177,12 +175,7 @@ def extended_step_lane(
     )
     # A step in which segments were split has no elastic part: joints before and after it are others.
     if t[SAG] != 0.0 and segments == n:
-        now = scratch(np.float64, CAPACITY)
-        elastic_bends(length, angle, n, t[SAG], deep, soft, now)
-        turn = 0.0
-        for j in range(n):
-            turn += now[j] - before[j] + taken[j]
-            angle[j] += turn
+        settle(length, angle, n, t[SAG], before)
     return segments
 
 

@@ -1,0 +1,76 @@
+"""A stem under its own weight bends until the bend is that of the shape that it has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flora_common.runs import LampsSection
+from flora_lab.simulator.law import Stems, standing
+from flora_lab.simulator.rod import CAPACITY, jit
+from flora_lab.simulator.sag import SOFTNESS_CM, elastic_bends
+from flora_lab.simulator.terms import NEUTRAL, PUSH, SAG, Driven, ExtendedLaw, Seen
+from flora_lab.simulator.tropism_traits import NAMES, prior_mean
+
+Array = Any
+STEP_H = 1.0 / 12.0
+LAW = ExtendedLaw(LampsSection())
+
+
+@jit
+def bends(length: Array, angle: Array, n: int, sag: float, out: Array) -> None:
+    elastic_bends(length, angle, n, sag, out)
+
+
+def elastic(stems: Stems, sag: float) -> Array:
+    """Angles that weight gives a stem of this shape, rad, foot to tip."""
+    n, out = int(stems.count[0]), np.zeros(CAPACITY)
+    bends(stems.length[0], stems.angle[0], n, sag, out)
+    return np.cumsum(out[:n])
+
+
+def pushed(sag: float, hours: float = 12.0) -> Stems:
+    """An upright stem that hardly grows and feels nothing, bent to the right by a steady push."""
+    traits = prior_mean().copy()
+    for name in ("growth_early_cm_per_day", "growth_late_cm_per_day"):
+        traits[NAMES.index(name)] = np.log(1e-4)
+    for name in ("graviception_per_cm_h", "photoception_per_cm_h", "proprioception_per_h"):
+        traits[NAMES.index(name)] = np.log(1e-9)
+    terms = NEUTRAL.copy()
+    terms[PUSH], terms[SAG] = 0.004, sag
+    stems = standing(LAW, (np.linspace(0.0, 18.0, 10)[:, None] * np.array([0.0, 1.0]))[None])
+    still = np.zeros((round(hours / STEP_H), 1))
+    driven = Driven(np.zeros((len(still), 1, 2)), still, still, still + 1.0, still + 1.0, still)
+    out = np.empty((len(still), 1, 10, 2))
+    LAW.advance_with(stems, traits[None], terms[None], driven, Seen(still, np.ones(1)), STEP_H, 1, out)
+    return stems
+
+
+@pytest.mark.parametrize("sag", [0.002, 0.01, 0.015])
+def test_a_stem_comes_to_rest_in_the_bend_of_its_own_shape(sag: float) -> None:
+    """Also where weight bends it much farther than growth has: what the bend adds to itself is counted."""
+    light, heavy = pushed(0.0), pushed(sag)
+    n = int(light.count[0])
+    assert heavy.count[0] == n
+    by_weight = heavy.angle[0, :n] - light.angle[0, :n]
+    assert by_weight[-1] > 0.0
+    assert by_weight == pytest.approx(elastic(heavy, sag), rel=0.02, abs=1e-3)
+
+
+def test_what_the_bend_adds_to_itself_is_much() -> None:
+    light, heavy = pushed(0.0), pushed(0.015)
+    n = int(light.count[0])
+    assert heavy.angle[0, n - 1] - light.angle[0, n - 1] > 1.3 * elastic(light, 0.015)[-1]
+
+
+def test_it_is_softest_at_the_tip() -> None:
+    stems = pushed(0.0)
+    n, out = int(stems.count[0]), np.zeros(CAPACITY)
+    straight = np.full(CAPACITY, 0.3)
+    bends(stems.length[0], straight, n, 1e-3, out)
+    above_cm = 18.0 - np.cumsum(stems.length[0, :n]) + stems.length[0, :n]
+    # A straight stem that leans: the moment of what is above goes with the square of its length.
+    share = out[1:n] / (above_cm[1:] ** 2 * np.exp(-above_cm[1:] / SOFTNESS_CM))
+    assert share == pytest.approx(np.full(n - 1, share[0]), rel=0.02)
