@@ -161,13 +161,15 @@ class Setting:
         try:
             self.tracker.memory = None
             try:
-                sight = self.tracker.look(self.decoded(picture.data))
+                decoded = self.decoded(picture.data)
+                fresh = self.tracker.read(decoded, source.time_s)
             except BadPicture as refusal:
                 yield from ((mode, REFUSED, str(refusal)) for mode in (FRESH, FOLLOWING))
             else:
-                yield FRESH, *verdict(self.tracker.follow(sight, source.time_s), truth_cm)
+                yield FRESH, *verdict(fresh, truth_cm)
+                # as the rig does: near the place where the stem was, if that is enough
                 self.tracker.memory = memory
-                yield FOLLOWING, *verdict(self.tracker.follow(sight, source.time_s), truth_cm)
+                yield FOLLOWING, *verdict(self.tracker.read(decoded, source.time_s), truth_cm)
                 memory = self.tracker.memory
             self.tracker.memory = memory
             after = self.tracker.follow(source.after, source.time_s + EVERY_S)

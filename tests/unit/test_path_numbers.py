@@ -10,6 +10,7 @@ import pytest
 
 from flora_common.vision.path import length, spline, steady
 from flora_common.vision.path.length import LengthState
+from flora_common.vision.path.survey import median
 from flora_common.vision.path.thinning import neighbour_offsets, thin
 
 
@@ -100,6 +101,13 @@ def test_the_deviation_of_a_spline_agrees_with_random_trials() -> None:
 
 def test_the_basis_sums_to_one_everywhere() -> None:
     assert spline.basis(np.linspace(0.0, 50.0, 77), 10.0, 8).sum(axis=1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("count", [1, 6, 7])
+def test_the_median_by_sorting_is_that_of_numpy(count: int) -> None:
+    whole = np.random.default_rng(count).integers(-90, 90, (4, 5, count)).astype(np.int16)
+    assert median(whole).tobytes() == np.median(whole, axis=-1).tobytes()
+    assert median(whole[0, 0].astype(np.float32)) == pytest.approx(np.median(whole[0, 0]))
 
 
 def test_length_converges_to_a_steady_growth_and_its_rate() -> None:

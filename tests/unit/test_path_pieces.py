@@ -49,7 +49,7 @@ def evidence_of(*parts: np.ndarray, tone: np.ndarray | None = None) -> Evidence:
     plant = np.maximum.reduce([np.asarray(p, np.float32) for p in parts])
     bright = (90.0 + plant if tone is None else tone).astype(np.uint8)
     code = np.repeat(bright[:, :, None], 3, axis=2)
-    return Evidence((0, 0), plant.astype(np.float32), code, 1.0, 0.0, 0.0, 0.0)
+    return Evidence((0, 0), plant.astype(np.float32), code, 1.0)
 
 
 def strands_of(evidence: Evidence) -> Strands:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import msgspec
@@ -11,10 +12,10 @@ import pytest
 
 from flora_common.errors import BadPicture
 from flora_common.runs import CameraSection
-from flora_common.vision.lamp_states import from_background
-from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.lamp_states import EmptySetup, from_background
 from flora_common.vision.path.likeness import Likeness, SetupLikeness
 from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.path.survey import Survey, Surveyor
 from flora_common.vision.path.tracker import Memory, PathTracker
 from flora_common.vision.reading import StemReading
 
@@ -106,7 +107,8 @@ def test_looks_may_be_made_in_any_order() -> None:
     one, two = tracker(), tracker()
     sights = {k: one.look(photograph(lines[k], k)) for k in (3, 1, 0, 2)}
     apart = [one.follow(sights[k], 300.0 * k) for k in range(4)]
-    assert all(same(a, b) for a, b in zip(apart, read_all(two, lines), strict=True))
+    in_turn = [two.follow(two.look(photograph(lines[k], k)), 300.0 * k) for k in range(4)]
+    assert all(same(a, b) for a, b in zip(apart, in_turn, strict=True))
 
 
 def test_points_are_even_in_height_or_along_the_stem() -> None:
@@ -210,15 +212,16 @@ def test_pictures_of_another_kind_raise_and_change_nothing() -> None:
     assert one.memory == before
 
 
-NO_PLANT = np.zeros((HEIGHT, WIDTH), np.float32)
+def surveyed(setup: EmptySetup, picture: np.ndarray) -> Survey:
+    return Surveyor(setup, CAMERA, PathSettings()).survey(picture)
 
 
-def likeness(like: SetupLikeness, picture: np.ndarray) -> Likeness:
-    return like.of(picture, Evidence((0, 0), NO_PLANT, picture, 1.0, 0.0, 0.0, 0.0))
+def likeness(setup: EmptySetup, picture: np.ndarray) -> Likeness:
+    return SetupLikeness(setup, ANCHOR[1]).of(surveyed(setup, picture))
 
 
 def test_likeness_tells_the_setup_from_others() -> None:
-    like = SetupLikeness(from_background([photograph(None, 1)]), ANCHOR[1])
+    like = from_background([photograph(None, 1)])
     good = likeness(like, photograph(swaying(1.0), 2))
     assert good.correlation > 0.95
     assert good.gain == pytest.approx(1.0, abs=0.05)
@@ -231,15 +234,16 @@ def test_likeness_tells_the_setup_from_others() -> None:
 
 
 def test_a_torn_picture_differs_in_one_band_and_where_plant_stands_nothing_is_expected() -> None:
-    like = SetupLikeness(from_background([photograph(None, 1)]), ANCHOR[1])
+    like = from_background([photograph(None, 1)])
     torn = photograph(None, 2)
     torn[200:300] = np.roll(torn[200:300], 40, axis=1)
     found = likeness(like, torn)
     assert found.correlation > 0.9
     assert found.worst_band < 0.5
-    plant = NO_PLANT.copy()
-    plant[180:320] = 50.0
-    hidden = like.of(torn, Evidence((0, 0), plant, torn, 1.0, 0.0, 0.0, 0.0))
+    survey = surveyed(like, torn)
+    plant = np.zeros_like(survey.plant)
+    plant[45:80] = 1
+    hidden = SetupLikeness(like, ANCHOR[1]).of(replace(survey, plant=plant))
     assert hidden.worst_band > 0.8
 
 
@@ -247,5 +251,5 @@ def test_a_torn_picture_differs_in_one_band_and_where_plant_stands_nothing_is_ex
 def test_noise_is_no_structure(noise: float) -> None:
     rng = np.random.default_rng(5)
     bare = [np.clip(90 + rng.normal(0, noise, (HEIGHT, WIDTH, 3)), 0, 255).astype(np.uint8) for _ in range(2)]
-    like = SetupLikeness(from_background(bare[:1]), ANCHOR[1])
+    like = from_background(bare[:1])
     assert likeness(like, bare[1]) == Likeness()

@@ -233,14 +233,6 @@ class _Group:
         return LampState(mean, coarse, self._count)
 
 
-def level_difference(coarse: Picture, other: Picture) -> tuple[Int16Array, Int16Array]:
-    """Difference of two coarse codes less its median per channel, and these three medians."""
-    difference = np.asarray(cv2.subtract(coarse, other, dtype=cv2.CV_16S), dtype=np.int16)
-    middle = np.rint(np.median(difference[::4, ::4].reshape(-1, 3), axis=0)).astype(np.int16)
-    difference -= middle
-    return difference, middle
-
-
 def _smaller(coarse: Picture) -> Int16Array:
     """A quarter of the coarse size, eight times the code, in which noise has nearly gone."""
     size = (max(1, coarse.shape[1] // 4), max(1, coarse.shape[0] // 4))
@@ -249,6 +241,6 @@ def _smaller(coarse: Picture) -> Int16Array:
 
 def _mean_size(small: Int16Array, other: Int16Array) -> float:
     """Mean absolute difference in code units, exposure taken away; a plant, which is very different, counts little."""
-    difference = (small - other).reshape(-1, 3)
-    difference = np.abs(difference - np.median(difference[::2], axis=0).astype(np.int16))
-    return float(np.minimum(difference, 8 * 24).mean()) / 8.0
+    difference = np.ascontiguousarray((small - other).reshape(-1, 3).T)
+    difference -= np.median(difference[:, ::2], axis=1).astype(np.int16)[:, None]
+    return float(np.minimum(np.abs(difference), 8 * 24).mean()) / 8.0

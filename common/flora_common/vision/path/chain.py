@@ -17,11 +17,11 @@ import numpy as np
 
 from flora_common.geometry import FloatArray, distance_to_polyline_cm
 from flora_common.runs import CameraSection
-from flora_common.vision.path.evidence import nearest_in_window, window_box
 from flora_common.vision.path.links import PLANT_GAP_COST, SHORT_GAP_CM, TURN_COST, covered, links_between
 from flora_common.vision.path.nodes import Node, angle, median, unit
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import End, Strand, Strands, part
+from flora_common.vision.path.survey import nearest_in_window, window_box
 
 END_COST: Final = {End.FREE: 0.0, End.BRANCH: 0.3, End.LEAF: 0.9}
 """For a stem whose last piece ends like this."""

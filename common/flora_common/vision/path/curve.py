@@ -20,7 +20,7 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path import spline
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.evidence import Evidence
-from flora_common.vision.path.spline import Spline
+from flora_common.vision.path.spline import Smoother, Spline
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -40,6 +40,7 @@ UNSEEN_ERROR_CM: Final = 0.3
 """Of the straight line across a gap: it keeps the curve from swinging out."""
 ANCHOR_ERROR_CM: Final = 0.08
 HALF: Final = 0.65
+ROW_PX: Final = 1024
 AGREE: Final = 0.15
 """In widths: how far the two edges' opinions on the middle may lie apart."""
 
@@ -91,12 +92,16 @@ class Sampler:
         return self._at(self._green, places)
 
     def _at(self, values: npt.NDArray[np.float32], places: FloatArray) -> FloatArray:
-        xy = places.astype(np.float32) - self._origin
-        flat = xy.reshape(xy.shape[0], -1, 2)
-        found = cv2.remap(
-            values, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
-        )
-        return np.asarray(found, dtype=np.float64).reshape(xy.shape[:-1])
+        count = places.size // 2
+        if count == 0:
+            return np.zeros(places.shape[:-1])
+        # OpenCV takes no picture of places with more than 32767 rows or columns
+        columns = min(count, ROW_PX)
+        xy = np.zeros((2, -(-count // columns) * columns), np.float32)
+        np.subtract(places.reshape(-1, 2).T, self._origin[:, None], out=xy[:, :count], casting="same_kind")
+        x, y = xy.reshape(2, -1, columns)
+        found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return np.asarray(found.ravel()[:count], dtype=np.float64).reshape(places.shape[:-1])
 
 
 def along_chain(chain: Chain, sampler: Sampler, px_per_cm: float) -> Stem:
@@ -107,6 +112,32 @@ def along_chain(chain: Chain, sampler: Sampler, px_per_cm: float) -> Stem:
     k = np.clip(np.searchsorted(s_raw, s, side="left"), 1, len(s_raw) - 1)
     on_piece = (chain.piece[k] == chain.piece[k - 1]) & (chain.piece[k] >= 0)
     return _refined(rough, on_piece, skeleton_width(chain, s_raw)(s), sampler, px_per_cm)
+
+
+def along_line(
+    line: FloatArray,
+    upto_px: float,
+    width_px: tuple[float, float],
+    bends_from: float,
+    sampler: Sampler,
+    px_per_cm: float,
+) -> Stem:
+    """The smooth line along one that lies inside the stem.
+
+    Args:
+        line: shape (n, 2), px.
+        upto_px: so far along it.
+        width_px: of the stem, at the anchor and at the end of the line.
+        bends_from: as in :class:`Stem`.
+        sampler: of the picture.
+        px_per_cm: scale.
+    """
+    s_raw = arc_length(line)
+    s = _steps(min(upto_px, float(s_raw[-1])))
+    rough = np.column_stack([np.interp(s, s_raw, line[:, k]) for k in range(2)])
+    width = np.interp(s, [0.0, s_raw[-1]], width_px)
+    known = np.ones(len(s), dtype=np.bool_)
+    return _refined(rough, known, width, sampler, px_per_cm, bends_from=bends_from)
 
 
 def with_tip(stem: Stem, safe: int, beyond: FloatArray, sampler: Sampler, px_per_cm: float) -> Stem:
@@ -120,7 +151,7 @@ def with_tip(stem: Stem, safe: int, beyond: FloatArray, sampler: Sampler, px_per
         px_per_cm: scale.
     """
     rough, known, width, kept = _going_on(stem, safe, beyond)
-    return _refined(rough, known, width, sampler, px_per_cm, apex_from=kept, bends_from=stem.bends_from)
+    return _refined(rough, known, width, sampler, px_per_cm, apex_from=kept, bends_from=stem.bends_from, times=1)
 
 
 def round_bend(stem: Stem, safe: int, band: FloatArray, sampler: Sampler, px_per_cm: float) -> Stem:
@@ -165,8 +196,9 @@ def _refined(
     *,
     apex_from: float = math.inf,
     bends_from: float = math.inf,
+    times: int = 2,
 ) -> Stem:
-    """Fit, measure across, fit again.
+    """Fit, then so many times measure across and fit again.
 
     ``known`` says where the rough line itself is worth something. From ``apex_from`` on nothing is measured: young
     leaves stand beside the stem there and move what look like its edges, by more than it bends over so short a way.
@@ -177,9 +209,11 @@ def _refined(
     unsure = 1.0 / (UNSEEN_ERROR_CM * px_per_cm) ** 2
     weights = np.where(known, at_end, unsure)
     weights[0], weights[-1] = at_anchor, at_end
-    curve = spline.fit(s, rough, weights, knot_step=knot, roughness=roughness)
-    for _ in range(2):
-        found = _measured(curve, s, width, sampler, apex_from)
+    smoother = spline.Smoother(s, knot_step=knot, roughness=roughness)
+    curve = smoother.fit(rough, weights)
+    line = smoother.places(curve)
+    for _ in range(times):
+        found = _measured(line, s, width, sampler, apex_from)
         width = _model_width(s, found, width)
         places = np.where(found.seen[:, None], found.places, rough)
         # neighbours share their pixels and are not independent
@@ -188,10 +222,17 @@ def _refined(
         )
         places[0], weights[0] = anchor, at_anchor
         weights[-1] = max(weights[-1], 0.25 * at_end)
-        curve = _robust(s, places, weights, knot, roughness)
-    line = curve.at(s)
+        curve = _robust(smoother, places, weights)
+        line = smoother.places(curve)
     return Stem(
-        line, curve.deviation(s), found.seen, found.clean, width, found.width, float(arc_length(line)[-1]), bends_from
+        line,
+        smoother.deviation(curve),
+        found.seen,
+        found.clean,
+        width,
+        found.width,
+        float(arc_length(line)[-1]),
+        bends_from,
     )
 
 
@@ -212,8 +253,8 @@ def _model_width(s: FloatArray, found: _Across, before: FloatArray) -> FloatArra
         return before
     at, w = s[found.clean], found.width[found.clean]
     for _ in range(2):
-        slope, level = np.polyfit(at, w, 1)
-        slope = min(0.0, float(slope))
+        from_middle = at - at.mean()
+        slope = min(0.0, float(from_middle @ w) / max(1e-9, float(from_middle @ from_middle)))
         off = np.abs(w - slope * at - np.median(w - slope * at))
         near = off <= max(0.5, 2.0 * float(np.median(off)))
         at, w = at[near], w[near]
@@ -221,13 +262,12 @@ def _model_width(s: FloatArray, found: _Across, before: FloatArray) -> FloatArra
     return np.asarray(np.maximum(level + slope * s, 0.45 * level), dtype=np.float64)
 
 
-def _robust(s: FloatArray, places: FloatArray, weights: FloatArray, knot: float, roughness: FloatArray) -> Spline:
+def _robust(smoother: Smoother, places: FloatArray, weights: FloatArray) -> Spline:
     """Fit twice: what lies far off for its error counts less the second time (Huber's weights)."""
-    first = spline.fit(s, places, weights, knot_step=knot, roughness=roughness)
-    off = np.hypot(*(first.at(s) - places).T) * np.sqrt(weights)
+    first = smoother.places(smoother.fit(places, weights))
+    off = np.hypot(*(first - places).T) * np.sqrt(weights)
     scale = max(1.0, 1.5 * float(np.median(off[weights > 0])))
-    weights = weights * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-9))
-    return spline.fit(s, places, weights, knot_step=knot, roughness=roughness)
+    return smoother.fit(places, weights * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-9)))
 
 
 def skeleton_width(chain: Chain, s_raw: FloatArray) -> Callable[[FloatArray], FloatArray]:
@@ -250,22 +290,23 @@ class _Across:
     clean: BoolArray
 
 
-def _measured(curve: Spline, s: FloatArray, width: FloatArray, sampler: Sampler, apex_from: float) -> _Across:
+def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampler, apex_from: float) -> _Across:
     """The stem's middle at each s by its edges or by a ridge."""
-    line = curve.at(s)
     normal = normals(line)
     reach = 1.6 * float(width.max()) + 2.0
     offset = np.arange(-reach, reach + 0.25, 0.5)
     places = line[:, None, :] + offset[None, :, None] * normal[:, None, :]
-    plant, tone = sampler.plant(places), sampler.tone(places)
-    left, right, there = _edges(plant, offset)
+    left, right, there = _edges(sampler.plant(places), offset)
     half = 0.5 * width
     # each edge by itself says where the middle is; beside a leaf only one of them is the stem's
     by_left, by_right = left + half, right - half
     nearer = np.where(np.abs(by_left) < np.abs(by_right), by_left, by_right)
     clean = there & (np.abs(by_left - by_right) < AGREE * width + 0.4) & (np.abs(left + right) < 1.5 * width + 2.0)
     one_edge = there & (np.abs(nearer) < 0.35 * width + 0.5)
-    by_ridge, ridge = _ridge(tone, offset, width)
+    by_ridge, ridge = np.zeros(len(line)), np.zeros(len(line), dtype=np.bool_)
+    rest = np.flatnonzero(~clean)
+    if rest.size:
+        by_ridge[rest], ridge[rest] = _ridge(sampler.tone(places[rest]), offset, width[rest])
     # a ridge is the stem itself; a single edge may be that of a leaf which covers it
     one_edge &= ~ridge
     middle = np.where(clean, 0.5 * (left + right), np.where(one_edge, nearer, by_ridge))

@@ -15,7 +15,7 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
-from flora_common.vision.path.strands import End, Strands
+from flora_common.vision.path.strands import ByteArray, End, Strands
 
 LEAST_COVER: Final = 0.75
 """Share of the line that must lie on plant."""
@@ -44,9 +44,8 @@ FADED, FADED_SHARE = 10.0, 0.45
 def doubt(stem: Stem, sampler: Sampler, strands: Strands, camera: CameraSection, above_cm: float) -> str:
     """Why the line may be another thing than the whole stem, one clause; empty where nothing says so."""
     scale = camera.px_per_cm
-    covered = float((sampler.plant(stem.line[None])[0, stem.seen] > 0).mean()) if stem.seen.any() else 0.0
-    if covered < LEAST_COVER:
-        return f"only {covered:.0%} of the line lies on plant"
+    if reason := badly_covered(stem, sampler):
+        return reason
     touching_cm = _touching_px(strands, camera) / scale
     if touching_cm > REACHES_IN_CM:
         return f"something wide reaches in over {touching_cm:.0f} cm of the picture's edge"
@@ -54,6 +53,12 @@ def doubt(stem: Stem, sampler: Sampler, strands: Strands, camera: CameraSection,
     if above_cm > max(GOES_ON_CM, GOES_ON_SHARE * length_cm):
         return f"the plant goes on for {above_cm:.1f} cm above a stem of {length_cm:.1f} cm"
     return ""
+
+
+def badly_covered(stem: Stem, sampler: Sampler) -> str:
+    """Why the line may lie on no plant, one clause; empty where it does lie on one."""
+    covered = float((sampler.plant(stem.line)[stem.seen] > 0).mean()) if stem.seen.any() else 0.0
+    return f"only {covered:.0%} of the line lies on plant" if covered < LEAST_COVER else ""
 
 
 def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: float, ahead_cm: float) -> str:
@@ -93,21 +98,28 @@ def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
     return False
 
 
-def beyond_px(line: FloatArray, strands: Strands, px_per_cm: float) -> tuple[float, float]:
-    """How far the plant that hangs together with a line's end goes on above the whole line, and ahead of its end."""
-    half = strands.mask[::2, ::2]
+def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_per_cm: float) -> tuple[float, float]:
+    """How far the plant that hangs together with a line's end goes on above the whole line, and ahead of its end.
+
+    Args:
+        line: px of the full picture.
+        mask: shape (height, width), 1 where there is plant, first pixel at ``origin_px``.
+        origin_px: (x, y).
+        px_per_cm: scale.
+    """
+    half = mask[::2, ::2]
     near = cv2.dilate(half, np.ones((max(1, round(REACH_CM * px_per_cm)) | 1,) * 2, np.uint8))
     _, labels = cv2.connectedComponents(near, connectivity=4)
-    x, y = ((line[-1] - np.array(strands.origin_px)) / 2.0).round().astype(int)
+    x, y = ((line[-1] - np.array(origin_px)) / 2.0).round().astype(int)
     label = labels[int(np.clip(y, 0, half.shape[0] - 1)), int(np.clip(x, 0, half.shape[1] - 1))]
     rows, columns = np.nonzero((labels == label) & (half > 0)) if label else (np.zeros(0), np.zeros(0))
     if rows.size == 0:
         return 0.0, 0.0
-    above = float(line[:, 1].min() - (strands.origin_px[1] + 2 * int(rows.min())))
+    above = float(line[:, 1].min() - (origin_px[1] + 2 * int(rows.min())))
     s = arc_length(line)
     heading = line[-1] - line[int(np.searchsorted(s, s[-1] - HEADING_CM * px_per_cm))]
     heading /= max(1e-9, float(np.hypot(*heading)))
-    off = 2.0 * np.column_stack([columns, rows]) + strands.origin_px - line[-1]
+    off = 2.0 * np.column_stack([columns, rows]) + origin_px - line[-1]
     ahead, aside = off @ heading, np.abs(off @ np.array([-heading[1], heading[0]]))
     return above, float(np.max(ahead, where=aside < CONE * ahead + 0.1 * px_per_cm, initial=0.0))
 

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.vision.lamp_states import COARSE, EmptySetup, coarse_code
-from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.lamp_states import COARSE, EmptySetup
+from flora_common.vision.path.survey import Survey, median
 from flora_common.vision.picture import Picture
 
 Float32Array = npt.NDArray[np.float32]
@@ -122,18 +122,13 @@ class SetupLikeness:
         self._side, self._rows, self._columns = _grid(max(1, height // REDUCED), max(1, width // REDUCED))
         self._rows_above = int(anchor_y_px // (self._side * REDUCED))
 
-    def of(self, picture: Picture, evidence: Evidence) -> Likeness:
-        """Likeness to the lamp state that the picture is most like; full likeness where the setup has no structure.
-
-        Args:
-            picture: shape (height, width, 3), uint8, of the setup's size.
-            evidence: where it shows plant, which hides the setup.
-        """
+    def of(self, survey: Survey) -> Likeness:
+        """Likeness to the lamp state that the picture is most like; full likeness where the setup has no structure."""
         if not self._states:
             return Likeness()
-        squares, noise = _structure(coarse_code(picture))
+        squares, noise = _structure(survey.coarse)
+        hidden = self._hidden(survey)
         found = []
-        hidden = self._hidden(evidence)
         for order, empty, power in self._states:
             here = squares[order]
             common = (here * empty).mean(axis=1)
@@ -144,17 +139,15 @@ class SetupLikeness:
             elsewhere = float((correlation < SAME).mean())
             bare = ~hidden[order] & (order // self._columns < self._rows_above)
             worst = self._worst_band(correlation[bare], order[bare])
-            found.append(Likeness(float(np.median(correlation)), float(np.median(gain)), elsewhere, worst))
+            found.append(Likeness(float(median(correlation)), float(median(gain)), elsewhere, worst))
         # most squares look alike under either lamp: those that differ tell the state
         return max(found, key=lambda one: one.correlation + one.worst_band - one.elsewhere)
 
-    def _hidden(self, evidence: Evidence) -> npt.NDArray[np.bool_]:
+    def _hidden(self, survey: Survey) -> npt.NDArray[np.bool_]:
         """For each square, whether plant stands before it."""
         out = np.zeros((self._rows, self._columns), dtype=np.bool_)
-        y, x = np.nonzero(evidence.plant[::REDUCED, ::REDUCED])
-        side_px = self._side * REDUCED
-        row = (y * REDUCED + evidence.origin_px[1]) // side_px
-        column = (x * REDUCED + evidence.origin_px[0]) // side_px
+        y, x = np.nonzero(survey.plant[::2, ::2])
+        row, column = y // self._side, x // self._side
         inside = (row < self._rows) & (column < self._columns)
         out[row[inside], column[inside]] = True
         return out.ravel()
@@ -165,7 +158,7 @@ class SetupLikeness:
         for k in range(BANDS):
             some = correlation[band == k]
             if some.size >= LEAST_OF_BAND:
-                worst = min(worst, float(np.median(some)))
+                worst = min(worst, float(median(some)))
         return worst
 
 

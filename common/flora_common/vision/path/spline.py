@@ -35,9 +35,7 @@ class Spline:
 
     def deviation(self, s: FloatArray) -> FloatArray:
         """Standard deviation per coordinate of :meth:`at`, shape (n,), for a measuring error of 1."""
-        b = basis(s, self.knot_step, len(self.coefficients))
-        variance = np.einsum("ij,jk,ik->i", b, self.covariance, b)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+        return _deviation(basis(s, self.knot_step, len(self.coefficients)), self.covariance)
 
 
 def basis(s: FloatArray, knot_step: float, count: int) -> FloatArray:
@@ -71,12 +69,37 @@ def fit(
         roughness: standard deviation that third differences of coefficients are believed to have, in units of places;
             one for all, or shape (:func:`coefficients` - 3,).
     """
-    length = float(s[-1])
-    count = coefficients(length, knot_step)
-    b = basis(s, knot_step, count)
-    third = np.diff(np.eye(count), n=3, axis=0) / np.broadcast_to(roughness, count - 3)[:, None]
-    normal = (b * weights[:, None]).T @ b + third.T @ third
-    # a trace of everything keeps the matrix whole where hardly anything was measured
-    normal[np.diag_indices(count)] += 1e-9 * max(1.0, float(normal.trace()))
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return Spline(covariance @ ((b * weights[:, None]).T @ places), covariance, knot_step, length)
+    return Smoother(s, knot_step=knot_step, roughness=roughness).fit(places, weights)
+
+
+class Smoother:
+    """Fits splines to places at the same s again and again; arguments as those of :func:`fit`."""
+
+    def __init__(self, s: FloatArray, *, knot_step: float, roughness: float | FloatArray) -> None:
+        self._knot_step, self._length = knot_step, float(s[-1])
+        count = coefficients(self._length, knot_step)
+        self._basis = basis(s, knot_step, count)
+        third = np.diff(np.eye(count), n=3, axis=0) / np.broadcast_to(roughness, count - 3)[:, None]
+        self._penalty = third.T @ third
+
+    def fit(self, places: FloatArray, weights: FloatArray) -> Spline:
+        """The spline that is near the places and smooth."""
+        weighted = (self._basis * weights[:, None]).T
+        normal = weighted @ self._basis + self._penalty
+        # a trace of everything keeps the matrix whole where hardly anything was measured
+        normal[np.diag_indices(len(normal))] += 1e-9 * max(1.0, float(normal.trace()))
+        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        return Spline(covariance @ (weighted @ places), covariance, self._knot_step, self._length)
+
+    def places(self, curve: Spline) -> FloatArray:
+        """:meth:`Spline.at` at the s of this one."""
+        return np.asarray(self._basis @ curve.coefficients, dtype=np.float64)
+
+    def deviation(self, curve: Spline) -> FloatArray:
+        """:meth:`Spline.deviation` at the s of this one."""
+        return _deviation(self._basis, curve.covariance)
+
+
+def _deviation(b: FloatArray, covariance: FloatArray) -> FloatArray:
+    variance = ((b @ covariance) * b).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

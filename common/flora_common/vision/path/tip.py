@@ -17,6 +17,8 @@ from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, BoolArray, Sampler, Stem, arc_length
 from flora_common.vision.path.trace import traced
 
+GLANCE, LOOKED_AT = 4, 9
+"""One step in so many is enough to tell the so many best of the arcs."""
 LONGEST_CM: Final = 2.5
 BENDS_PER_CM: Final = np.linspace(-0.5, 0.5, 15)
 TURNS_RAD: Final = np.linspace(-0.15, 0.15, 7)
@@ -41,6 +43,7 @@ LEAVES_WIDTHS, LEAVES_CM = 0.8, 0.15
 CLEAN_SHARE: Final = 0.6
 """Share of the band with two clean edges past that place, from which the second holds."""
 BOTH_SIDES, ONE_SIDE, ON_LEAF = 1.0, 0.35, 0.8
+ACROSS_WIDTHS: Final = np.array([-0.95, -0.8, -0.25, 0.0, 0.25, 0.8, 0.95])
 HIDDEN_COST: Final = 0.25
 OPEN_COST: Final = 3.0
 BEND_COST_CM: Final = 1.5
@@ -79,14 +82,29 @@ class Tip:
         return STEP * len(self.places)
 
 
-def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> Tip:
-    """Follow the stem from its last sure place to its end; where it was before counts for something."""
+def find_tip(
+    stem: Stem,
+    sampler: Sampler,
+    px_per_cm: float,
+    before: Before | None = None,
+    *,
+    beyond_cm: float = LONGEST_CM,
+) -> Tip:
+    """Follow the stem from its last sure place to its end; where it was before counts for something.
+
+    Args:
+        stem: as far as it was found.
+        sampler: of the picture.
+        px_per_cm: scale.
+        before: the stem in the picture before.
+        beyond_cm: how far beyond the end of what was found the tip is looked for.
+    """
     safe = _last_sure(stem)
     s = arc_length(stem.line)
     width = float(stem.width[safe])
     followed_cm = FOLLOWED_CM if s[safe] < stem.bends_from else FOLLOWED_ROUND_BEND_CM
     heading, bend = _heading(stem.line, s, safe, followed_cm * px_per_cm)
-    steps = np.arange(STEP, LONGEST_CM * px_per_cm + (s[-1] - s[safe]), STEP)
+    steps = np.arange(STEP, beyond_cm * px_per_cm + (s[-1] - s[safe]), STEP)
     # the first arc just goes on, straightening out as stems do; the others are tried against it
     grid = np.meshgrid(BENDS_PER_CM / px_per_cm, TURNS_RAD, indexing="ij")
     bend = float(np.clip(bend, grid[0].min(), grid[0].max()))
@@ -100,13 +118,21 @@ def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | No
     arcs = stem.line[safe] + np.cumsum(STEP * np.stack([np.cos(angle), np.sin(angle)], axis=-1), axis=1)
     side = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     level = float(np.median(sampler.plant(stem.line[None, max(0, safe - 20) : safe + 1])))
-    gain, there = _gain(arcs, side, width, level, sampler)
-    worth = np.cumsum(STEP * gain / px_per_cm, axis=1)
     effort = np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]
-    worth -= BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
+    against = BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
     if before is not None:
-        away = np.hypot(arcs[..., 0] - before.line_px[-1, 0], arcs[..., 1] - before.line_px[-1, 1]) / px_per_cm
-        worth -= before.trust * MOVE_COST * np.minimum(away, 1.0)
+        away_cm = np.hypot(arcs[..., 0] - before.line_px[-1, 0], arcs[..., 1] - before.line_px[-1, 1]) / px_per_cm
+        against += before.trust * MOVE_COST * np.minimum(away_cm, 1.0)
+    # a few steps tell which arcs are good, and all of them where these end
+    glance = slice(GLANCE - 1, None, GLANCE)
+    gain, _ = _gain(arcs[:, glance], side[:, glance], width, level, sampler)
+    worth = (np.cumsum(GLANCE * STEP * gain / px_per_cm, axis=1) - against[:, glance]).max(axis=1)
+    worth[0] = np.inf
+    best = np.sort(np.argsort(-worth)[:LOOKED_AT])
+    arcs, side, against = arcs[best], side[best], against[best]
+    gain, plant = _gain(arcs, side, width, level, sampler)
+    there = plant > END_LEVEL * level
+    worth = np.cumsum(STEP * gain / px_per_cm, axis=1) - against
     arc, end = (int(k) for k in np.unravel_index(int(np.argmax(worth)), worth.shape))
     if worth[0].max() > worth[arc, end] - STRAIGHT_FREE_CM:
         arc, end = 0, int(np.argmax(worth[0]))
@@ -120,7 +146,16 @@ def find_tip(stem: Stem, sampler: Sampler, px_per_cm: float, before: Before | No
     if not open_end and more * STEP <= APEX_CM * px_per_cm:
         # young leaves stand round an apex, and seldom above it: it is likely where the plant ends in this direction
         end, error, open_end = end + more, error + 0.4 * more * STEP, True
-    return Tip(safe, arcs[arc, : end + 1], arcs[arc, end + 1 :], open_end, error)
+    places = np.concatenate([arcs[arc, : end + 1], _just_beyond(arcs[arc], plant[arc], end, END_LEVEL * level)])
+    return Tip(safe, places, arcs[arc, end + 1 :], open_end, error)
+
+
+def _just_beyond(arc: FloatArray, plant: FloatArray, end: int, least: float) -> FloatArray:
+    """The place between two steps at which the plant ends, shape (1, 2); (0, 2) if it does not there."""
+    inside, outside = float(plant[end]), float(plant[end + 1])
+    if not inside > least >= outside:
+        return arc[:0]
+    return arc[end : end + 1] + (inside - least) / (inside - outside) * (arc[end + 1 : end + 2] - arc[end : end + 1])
 
 
 def round_bends(stem: Stem, tip: Tip, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> FloatArray:
@@ -183,26 +218,28 @@ def _last_sure(stem: Stem) -> int:
 
 def _gain(
     arcs: FloatArray, side: FloatArray, width: float, level: float, sampler: Sampler
-) -> tuple[FloatArray, BoolArray]:
+) -> tuple[FloatArray, FloatArray]:
     """What each place along each arc is worth as stem: 1 with two clean edges, less on a leaf, below 0 for nothing.
 
-    And whether there is plant at all.
+    And the evidence of plant there.
     """
-    offset = np.array([-0.95, -0.8, -0.25, 0.0, 0.25, 0.8, 0.95]) * max(width, 2.0)
-    places = arcs[:, :, None, :] + offset[None, None, :, None] * side[:, :, None, :]
-    shape = places.shape[:-1]
-    flat = places.reshape(shape[0], -1, 2)
-    plant, tone = sampler.plant(flat).reshape(shape), sampler.tone(flat).reshape(shape)
+    offset = (ACROSS_WIDTHS * max(width, 2.0)).astype(np.float32)
+    places = arcs[:, :, None, :] + offset[:, None] * side[:, :, None, :]
+    plant = sampler.plant(places)
     inside = plant[..., 2:5].mean(axis=-1)
     left, right = plant[..., :2].mean(axis=-1) < 0.4 * inside, plant[..., 5:].mean(axis=-1) < 0.4 * inside
-    edges = np.where(left & right, BOTH_SIDES, np.where(left | right, ONE_SIDE, 0.0))
-    middle = tone[..., 2:5].mean(axis=-1)
-    beside = np.stack([tone[..., :2].mean(axis=-1), tone[..., 5:].mean(axis=-1)])
+    gain = np.where(left | right, ONE_SIDE, 0.0)
+    clean = left & right
+    gain[clean] = BOTH_SIDES
+    # two clean edges are worth more than any band on a leaf
+    rest = np.nonzero(~clean)
+    tone = sampler.tone(places[rest])
+    middle, beside = tone[:, 2:5].mean(axis=-1), np.stack([tone[:, :2].mean(axis=-1), tone[:, 5:].mean(axis=-1)])
     ridge = np.maximum(middle - beside.max(axis=0), beside.min(axis=0) - middle)
     on_leaf = np.clip(ridge / CLEAR_RIDGE, 0.0, 1.0) * (ON_LEAF + HIDDEN_COST) - HIDDEN_COST
-    gain = np.where(edges > 0, np.maximum(edges, on_leaf), on_leaf)
-    there = plant[..., 3] > END_LEVEL * level
-    return np.where(there, gain, -OPEN_COST), np.asarray(there)
+    gain[rest] = np.where(gain[rest] > 0.0, np.maximum(gain[rest], on_leaf), on_leaf)
+    centre = plant[..., 3]
+    return np.where(centre > END_LEVEL * level, gain, -OPEN_COST), centre
 
 
 def _heading(line: FloatArray, s: FloatArray, safe: int, reach_px: float) -> tuple[float, float]:

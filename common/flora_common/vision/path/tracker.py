@@ -11,17 +11,19 @@ import numpy as np
 
 from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection
-from flora_common.shapes import STEM_POINTS
 from flora_common.vision.lamp_states import EmptySetup
-from flora_common.vision.path import curve, doubts, length, steady
+from flora_common.vision.path import curve, doubts, length, nearby, steady
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
-from flora_common.vision.path.evidence import Evidence, PlantFinder, nearest_in_window
+from flora_common.vision.path.evidence import Evidence, PlantFinder
+from flora_common.vision.path.extent import as_long_as, by_arc, uncertainty_mm
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.likeness import OF_FRAMES, OF_THE_FIRST, USUAL, Likeness, SetupLikeness
+from flora_common.vision.path.nearby import Nearby
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.steady import TurnState
-from flora_common.vision.path.strands import Strands, find_strands
+from flora_common.vision.path.strands import Strands, find_strands, plant_mask
+from flora_common.vision.path.survey import Survey, nearest_in_window
 from flora_common.vision.path.tip import Tip, find_tip, round_bends
 from flora_common.vision.picture import Picture
 from flora_common.vision.reading import (
@@ -49,8 +51,6 @@ BLUR_PX: Final = 2.0
 """A thin stem looks wider in a photograph, by lens, JPEG and smoothing."""
 FORGETS_S: Final = 900.0
 """Where the stem was counts half after this time."""
-FLOOR_MM: Final = 0.1
-"""Of the uncertainty: lens, anchor and scale are not known better."""
 FOLD_CM: Final = 0.15
 DOUBTS_BELIEVED: Final = 3
 STEP_CM, STEP_SHARE = 0.5, 0.25
@@ -74,6 +74,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         turn: belief on which way its end points.
         elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
         sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
+        near: what lets the next picture be looked at near the stem only; None where the whole must be.
     """
 
     line_px: list[tuple[float, float]]
@@ -83,6 +84,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turn: TurnState | None = None
     elsewhere: int = 0
     sure: bool = True
+    near: Nearby | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +103,7 @@ class _Fit:
     chain: Chain
     tip: Tip
     reached: Stem
+    sure_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,9 +111,11 @@ class _State:
     """What is remembered beside the line; see :class:`Memory`."""
 
     length: LengthState
+    measured_cm: float
     turn: TurnState | None
     elsewhere: int
     sure: bool
+    near: Nearby | None
 
 
 class PathTracker:
@@ -138,6 +143,7 @@ class PathTracker:
         self._demands = USUAL if self._likeness is not None else OF_FRAMES
         self._doubtful_starts = 0
         self._foot_px = nearest_in_window(camera, self.settings)
+        self._widest_px = self.settings.widest_stem_cm * camera.px_per_cm + BLUR_PX
 
     def read(self, picture: Picture, time_s: float) -> StemReading:
         """The stem in a picture, which must follow the one read before.
@@ -149,20 +155,64 @@ class PathTracker:
         Raises:
             BadPicture: not an 8-bit colour picture of the camera's size. The memory is unchanged.
         """
-        return self.follow(self.look(picture), time_s)
+        survey, likeness = self._surveyed(picture)
+        return self._near(survey, likeness, time_s) or self.follow(self._sight(survey, likeness), time_s)
 
     def look(self, picture: Picture) -> Sight:
-        """What the picture shows; the larger part of the work, and the same in whatever order pictures come.
+        """What the whole picture shows; the larger part of the work, and the same in whatever order pictures come.
 
         Raises:
             BadPicture: not an 8-bit colour picture of the camera's size.
         """
-        evidence = self._finder.find(picture)
-        likeness = self._likeness.of(picture, evidence) if self._likeness is not None else Likeness()
+        return self._sight(*self._surveyed(picture))
+
+    def _surveyed(self, picture: Picture) -> tuple[Survey, Likeness]:
+        survey = self._finder.survey(picture)
+        return survey, self._likeness.of(survey) if self._likeness is not None else Likeness()
+
+    def _sight(self, survey: Survey, likeness: Likeness) -> Sight:
+        evidence = self._finder.all_of(survey)
         if evidence.empty:
             return Sight(evidence, None, likeness)
-        widest_px = self.settings.widest_stem_cm * self.camera.px_per_cm + BLUR_PX
-        return Sight(evidence, find_strands(evidence, widest_px=widest_px, foot_px=self._foot_px), likeness)
+        return Sight(evidence, find_strands(evidence, widest_px=self._widest_px, foot_px=self._foot_px), likeness)
+
+    def _near(self, survey: Survey, likeness: Likeness, time_s: float) -> StemReading | None:
+        """The stem where it was in the picture before; None where only the whole picture can tell."""
+        memory, scale = self.memory, self.camera.px_per_cm
+        before = self._before(time_s)
+        if memory is None or memory.near is None or before is None or memory.doubts or memory.elsewhere:
+            return None
+        late = not 0.0 <= time_s - memory.length.time_s <= nearby.LONGEST_S
+        if late or before.trust < HOLDS_FROM or self._demands.unmet(survey.changed, likeness):
+            return None
+        part = nearby.part_of(before.line_px, self._finder.box, scale)
+        if not nearby.enough(memory.near, before.line_px, survey, part, scale):
+            return None
+        evidence = self._finder.part(survey, *part, noise=memory.near.noise)
+        sampler = Sampler(evidence)
+        stem, tip = nearby.found(before.line_px, memory.near, sampler, scale, before)
+        if not nearby.same_stem(stem, before, memory.seen, scale):
+            return None
+        belief = self._belief(stem, tip, time_s)
+        final, turn = self._steadied(as_long_as(stem, tip, belief.length_cm * scale), tip, time_s)
+        mask = plant_mask(evidence, self._widest_px)
+        beyond = doubts.beyond_px(final.line, mask, evidence.origin_px, scale)
+        above_cm, ahead_cm = (nearby.DOUBTS_SOONER * v / scale for v in beyond)
+        if doubts.badly_covered(final, sampler) or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm):
+            return None
+        near = msgspec.structs.replace(memory.near, looks=memory.near.looks + 1)
+        reading, after = self._told(final, _State(belief, stem.length / scale, turn, 0, True, near), evidence, "", "")
+        if reading.outcome != OK:
+            return None
+        self.memory = after
+        return reading
+
+    def _before(self, time_s: float) -> Before | None:
+        if self.memory is None or not self.memory.sure:
+            return None
+        trust = float(np.clip((self.memory.seen - LEAST_SEEN) / (1.0 - 2.0 * LEAST_SEEN), 0.0, 1.0))
+        trust /= 1.0 + (max(0.0, time_s - self.memory.length.time_s) / FORGETS_S) ** 2
+        return Before(np.array(self.memory.line_px), trust)
 
     def follow(self, sight: Sight, time_s: float) -> StemReading:
         """The stem in what a picture shows, given those before."""
@@ -173,29 +223,33 @@ class PathTracker:
         if strands is None:
             return no_stem("nothing at the anchor differs from the empty setup")
         scale = self.camera.px_per_cm
-        before = None
-        if self.memory is not None and self.memory.sure:
-            trust = float(np.clip((self.memory.seen - LEAST_SEEN) / (1.0 - 2.0 * LEAST_SEEN), 0.0, 1.0))
-            trust /= 1.0 + (max(0.0, time_s - self.memory.length.time_s) / FORGETS_S) ** 2
-            before = Before(np.array(self.memory.line_px), trust)
+        before = self._before(time_s)
         sampler = Sampler(evidence)
         fit = self._fitted(strands, sampler, before)
         if isinstance(fit, str):
             return no_stem(fit)
         fit, elsewhere = self._held(fit, strands, sampler, before, time_s)
+        near = nearby.after(fit.reached, fit.sure_px, evidence)
+        again, tip = nearby.found(fit.reached.line, near, sampler, scale, before)
+        same = math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale
+        if same and before is not None and self._likeness is not None and near.bends_from_px is None:
+            # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
+            fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s)
-        final = _as_long_as(fit.reached, fit.tip, belief.length_cm * scale)
+        final = as_long_as(fit.reached, fit.tip, belief.length_cm * scale)
         final, turn = self._steadied(final, fit.tip, time_s)
-        above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands, scale))
-        doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm) or self._doubt_of_start(
-            sight, fit.chain, final
-        )
-        sure = before is not None or fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
+        above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands.mask, strands.origin_px, scale))
+        doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm)
+        doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
+        clear = fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
+        sure = before is not None or clear
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
-        return self._reading(final, _State(belief, turn, elsewhere, sure), evidence, doubt, unsure)
+        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, near if clear else None)
+        reading, self.memory = self._told(final, state, evidence, doubt, unsure)
+        return reading
 
     def _fitted(self, strands: Strands, sampler: Sampler, before: Before | None) -> _Fit | str:
         """What looks most like the stem, or why nothing does."""
@@ -216,7 +270,7 @@ class PathTracker:
         reached = curve.with_tip(stem, tip.safe, tip.places, sampler, scale)
         if reached.length < SHORTEST_STEM_CM * scale:
             return f"what stands at the anchor is only {reached.length / scale:.1f} cm long"
-        return _Fit(chain, tip, reached)
+        return _Fit(chain, tip, reached, float(arc_length(stem.line)[tip.safe]))
 
     def _held(
         self, fit: _Fit, strands: Strands, sampler: Sampler, before: Before | None, time_s: float
@@ -270,23 +324,26 @@ class PathTracker:
         self._doubtful_starts = self._doubtful_starts + 1 if unmet else 0
         return unmet if self._doubtful_starts < DOUBTS_BELIEVED else ""
 
-    def _reading(self, stem: Stem, state: _State, evidence: Evidence, doubt: str, unsure: str) -> StemReading:
+    def _told(
+        self, stem: Stem, state: _State, evidence: Evidence, doubt: str, unsure: str
+    ) -> tuple[StemReading, Memory | None]:
+        """The reading, and what is remembered after it."""
         belief = state.length
         line_cm = self._to_cm(stem.line)
         line_cm[0] = 0.0
-        points = _by_arc(line_cm) if self.settings.points == "arc" else resample_by_height(line_cm)
+        points = by_arc(line_cm) if self.settings.points == "arc" else resample_by_height(line_cm)
         tip_mm = 10.0 * math.sqrt(belief.length_var)
-        uncertainty = self._uncertainty_mm(stem, line_cm, points, tip_mm)
+        uncertainty = uncertainty_mm(stem, line_cm, points, tip_mm, self.camera.px_per_cm)
         seen = float(stem.seen.mean())
         end = (float(stem.line[-1, 0]), float(stem.line[-1, 1]))
         outcome, reason = self._judge(stem, seen, float(uncertainty[-1]), belief.time_s)
         if doubt and outcome in (OK, JUMPED):
             outcome, reason = OCCLUDED, doubt
-        self._remember(stem, state, outcome, seen, bool(doubt))
         if unsure and outcome == OK:
             outcome, reason = OCCLUDED, unsure
+        memory = self._remembered(stem, state, outcome, seen, bool(doubt))
         folded = bool(line_cm[:, 1].max() - line_cm[-1, 1] > FOLD_CM or (np.diff(line_cm[::4, 1]) < -0.05).any())
-        return StemReading(
+        reading = StemReading(
             outcome,
             seen,
             points,
@@ -295,8 +352,9 @@ class PathTracker:
             uncertainty_mm=uncertainty,
             folded=folded,
             line_px=stem.line,
-            stem_pixels=int((evidence.plant > 0).sum()),
+            stem_pixels=evidence.plant_pixels,
         )
+        return reading, memory
 
     def _judge(self, stem: Stem, seen: float, tip_mm: float, time_s: float) -> tuple[str, str]:
         scale = self.camera.px_per_cm
@@ -313,21 +371,21 @@ class PathTracker:
             return OCCLUDED, f"the tip is hidden; it may lie {tip_mm:.0f} mm off"
         return OK, ""
 
-    def _remember(self, stem: Stem, state: _State, outcome: str, seen: float, doubted: bool) -> None:
+    def _remembered(self, stem: Stem, state: _State, outcome: str, seen: float, doubted: bool) -> Memory | None:
         if self.memory is None and doubted:
-            return
+            return None
         doubtful = self.memory is not None and (doubted or outcome == JUMPED or seen < LEAST_SEEN)
         count = self.memory.doubts + 1 if doubtful and self.memory is not None else 0
         if self.memory is not None and 0 < count < DOUBTS_BELIEVED:
-            self.memory = msgspec.structs.replace(self.memory, doubts=count)
-            return
+            return msgspec.structs.replace(self.memory, doubts=count, near=None)
         kept = [*stem.line[:-1:LINE_KEPT_EVERY], stem.line[-1]]
         # of a new place the length is known, but not what the old one's history says of it
         belief = state.length
         if count:
-            belief = LengthState(belief.time_s, stem.length / self.camera.px_per_cm)
+            belief = LengthState(belief.time_s, state.measured_cm)
         line = [(float(x), float(y)) for x, y in kept]
-        self.memory = Memory(line, belief, seen, turn=state.turn, elsewhere=state.elsewhere, sure=state.sure)
+        near = state.near if outcome == OK else None
+        return Memory(line, belief, seen, turn=state.turn, elsewhere=state.elsewhere, sure=state.sure, near=near)
 
     def _at_edge(self, tip: FloatArray) -> bool:
         x0, y0, x1, _ = self.settings.window_px or (0.0, 0.0, self.camera.width_px - 1.0, 0.0)
@@ -336,43 +394,3 @@ class PathTracker:
     def _to_cm(self, line_px: FloatArray) -> FloatArray:
         off = line_px - np.array(self.camera.anchor_px)
         return np.asarray(off * np.array([1.0, -1.0]) / self.camera.px_per_cm + 0.0, dtype=np.float64)
-
-    def _uncertainty_mm(self, stem: Stem, line_cm: FloatArray, points: FloatArray, tip_mm: float) -> FloatArray:
-        nearest = np.argmin(((points[:, None, :] - line_cm[None, :, :]) ** 2).sum(axis=2), axis=1)
-        across = 10.0 * stem.deviation[nearest] / self.camera.px_per_cm
-        out = np.hypot(across, FLOOR_MM)
-        out[-1] = math.hypot(out[-1], tip_mm)
-        return np.asarray(out, dtype=np.float64)
-
-
-def _as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
-    """The stem cut or carried on to a length."""
-    s = arc_length(stem.line)
-    if wanted_px <= s[-1] or not len(tip.onwards):
-        wanted_px = min(wanted_px, s[-1])
-        keep = max(4, int(np.searchsorted(s, wanted_px)))
-        end = np.array([[np.interp(wanted_px, s, stem.line[:, k]) for k in range(2)]])
-        line = np.concatenate([stem.line[:keep], end])
-        pick = np.minimum(np.arange(len(line)), len(s) - 1)
-        deviation, seen = stem.deviation[pick], stem.seen[pick]
-    else:
-        # from where the smooth line ends, not from where the arc did
-        more = tip.onwards - (tip.places[-1] if len(tip.places) else stem.line[tip.safe]) + stem.line[-1]
-        further = s[-1] + arc_length(np.concatenate([stem.line[-1:], more]))[1:]
-        take = further <= wanted_px
-        line = np.concatenate([stem.line, more[take][::3]])
-        extra = len(line) - len(stem.line)
-        grown = stem.deviation[-1] + 0.15 * (arc_length(line)[-extra:] - s[-1]) if extra else np.zeros(0)
-        deviation = np.concatenate([stem.deviation, grown])
-        seen = np.concatenate([stem.seen, np.zeros(extra, dtype=np.bool_)])
-        pick = np.minimum(np.arange(len(line)), len(s) - 1)
-    return Stem(
-        line, deviation, seen, stem.clean[pick] & seen, stem.width[pick], stem.across[pick], float(arc_length(line)[-1])
-    )
-
-
-def _by_arc(line_cm: FloatArray) -> FloatArray:
-    """Ten points evenly spaced along the stem."""
-    s = arc_length(line_cm)
-    even = np.linspace(0.0, s[-1], STEM_POINTS)
-    return np.column_stack([np.interp(even, s, line_cm[:, k]) for k in range(2)])

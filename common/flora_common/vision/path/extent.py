@@ -1,0 +1,60 @@
+"""How far a line goes: cut or carried on to a length, and points along it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.shapes import STEM_POINTS
+from flora_common.vision.path.curve import STEP_PX, Stem, arc_length
+from flora_common.vision.path.tip import Tip
+
+FLOOR_MM: Final = 0.1
+"""Of the uncertainty: lens, anchor and scale are not known better."""
+
+
+def as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
+    """The stem cut or carried on to a length."""
+    s = arc_length(stem.line)
+    if wanted_px <= s[-1] or not len(tip.onwards):
+        wanted_px = min(wanted_px, s[-1])
+        keep = max(4, int(np.searchsorted(s, wanted_px)))
+        end = np.array([[np.interp(wanted_px, s, stem.line[:, k]) for k in range(2)]])
+        line = np.concatenate([stem.line[:keep], end])
+        pick = np.minimum(np.arange(len(line)), len(s) - 1)
+        deviation, seen = stem.deviation[pick], stem.seen[pick]
+    else:
+        # from where the smooth line ends, not from where the arc did
+        more = tip.onwards - (tip.places[-1] if len(tip.places) else stem.line[tip.safe]) + stem.line[-1]
+        more = np.concatenate([stem.line[-1:], more])
+        further = s[-1] + arc_length(more)
+        # in steps as long as those of the line, and the last one shorter
+        at = np.append(np.arange(s[-1] + STEP_PX, wanted_px, STEP_PX), wanted_px)
+        at = at[at <= further[-1]]
+        line = np.concatenate([stem.line, np.column_stack([np.interp(at, further, more[:, k]) for k in range(2)])])
+        extra = len(line) - len(stem.line)
+        grown = stem.deviation[-1] + 0.15 * (arc_length(line)[-extra:] - s[-1]) if extra else np.zeros(0)
+        deviation = np.concatenate([stem.deviation, grown])
+        seen = np.concatenate([stem.seen, np.zeros(extra, dtype=np.bool_)])
+        pick = np.minimum(np.arange(len(line)), len(s) - 1)
+    return Stem(
+        line, deviation, seen, stem.clean[pick] & seen, stem.width[pick], stem.across[pick], float(arc_length(line)[-1])
+    )
+
+
+def by_arc(line_cm: FloatArray) -> FloatArray:
+    """Ten points evenly spaced along the stem."""
+    s = arc_length(line_cm)
+    even = np.linspace(0.0, s[-1], STEM_POINTS)
+    return np.column_stack([np.interp(even, s, line_cm[:, k]) for k in range(2)])
+
+
+def uncertainty_mm(stem: Stem, line_cm: FloatArray, points: FloatArray, tip_mm: float, px_per_cm: float) -> FloatArray:
+    """Standard deviation of each point on a line, mm; the last one is the tip, and ``tip_mm`` what it has besides."""
+    nearest = np.argmin(((points[:, None, :] - line_cm[None, :, :]) ** 2).sum(axis=2), axis=1)
+    out = np.hypot(10.0 * stem.deviation[nearest] / px_per_cm, FLOOR_MM)
+    out[-1] = math.hypot(out[-1], tip_mm)
+    return np.asarray(out, dtype=np.float64)
