@@ -191,8 +191,8 @@ def calibration_error(outcomes: Sequence[Outcome]) -> float:
 def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[float, int]:
     """What the claims gained at the run's end, as a share of what the oracle gains, pooled; and over how many cases.
 
-    A diagnosis takes part where ``gain.free_running.end`` gives ``base`` and ``extended`` (or ``base_mm`` and
-    ``extended_mm``, in mm like the oracle's).
+    Both are root mean squares of the tip's distance, in mm. A diagnosis takes part where ``gain.free_running.end`` gives
+    ``base_rms`` and ``extended_rms``.
     """
     gained = possible = 0.0
     cases = 0
@@ -201,7 +201,7 @@ def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[flo
         oracle = outcome.truth.get("oracle", {}).get(whose, {}).get("end")
         if not outcome.right or not isinstance(end, Mapping) or oracle is None:
             continue
-        base, extended = (end.get(name, end.get(f"{name}_mm")) for name in ("base", "extended"))
+        base, extended = (end.get(f"{name}_rms") for name in ("base", "extended"))
         if base is None or extended is None:
             continue
         gained += float(base) - float(extended)

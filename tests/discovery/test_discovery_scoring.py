@@ -107,7 +107,7 @@ def test_calibration_error_weighs_bins_by_their_claims() -> None:
 
 def test_gain_is_pooled_over_right_claims() -> None:
     def gained(extended: float, effect: str = "sag") -> Outcome:
-        end = {"base": 10.0, "extended": extended}
+        end = {"base_rms": 10.0, "extended_rms": extended}
         return outcome("single", SAG, "explained", cause(effect), gain={"free_running": {"end": end}})
 
     assert gain_share([gained(6.0), gained(8.0), gained(99.0, "draught")]) == (pytest.approx(6.0 / 8.0), 2)

@@ -65,8 +65,8 @@ class Case:
         measured: runs with it.
         held_out: further runs with it, that no finder is given.
         oracle: free runs of the ``typical`` plant and of each held-out run's ``own``, without drifts, over the whole
-            ``run`` and at its ``end`` (the last hour): root mean square distances over all points, ``base_mm`` without
-            and ``extended_mm`` with the true effect.
+            ``run``, of all points, and at its ``end`` (the last hour), of the tip: root mean square distances,
+            ``base_mm`` without and ``extended_mm`` with the true effect.
     """
 
     seed: int
@@ -241,7 +241,7 @@ def _oracle(species: _Species, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]
                 scene.record.gap_share = 0.0
                 off = ((recorded(scene).points_cm[rows] - run.track.points_cm)[:, 1:] ** 2).sum(axis=2) * 100.0
                 squares.setdefault((whose, "run", name), []).append(off.ravel())
-                squares.setdefault((whose, "end", name), []).append(off[-LAST_ROWS:].ravel())
+                squares.setdefault((whose, "end", name), []).append(off[-LAST_ROWS:, -1])
     found: Oracle = {}
     for (whose, when, name), parts in squares.items():
         rms = float(np.sqrt(np.concatenate(parts).mean()))
