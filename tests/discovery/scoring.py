@@ -191,8 +191,8 @@ def calibration_error(outcomes: Sequence[Outcome]) -> float:
 def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[float, int]:
     """What the claims gained at the run's end, as a share of what the oracle gains, pooled; and over how many cases.
 
-    Both are root mean squares of the tip's distance, in mm. A diagnosis takes part where ``gain.free_running.end`` gives
-    ``base_rms`` and ``extended_rms``.
+    Both are root mean squares of the tip's distance, in mm. A diagnosis takes part where ``gain.free_running.end``
+    gives ``base_rms`` and ``extended_rms``.
     """
     gained = possible = 0.0
     cases = 0
