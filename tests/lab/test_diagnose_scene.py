@@ -175,10 +175,10 @@ def test_a_rolled_and_wrongly_scaled_camera_shows_the_same_plant(turn_deg: float
     right = plain.points(lanes(Change()), every=1)[:, 0, -1]
     assert np.abs(right[:, 0]).max() > 1.0
     told = shown.points(lanes(change), every=1)[:, 0, -1]
-    # stems of another size are cut into other segments
-    assert told == pytest.approx(scale * turned(right, turn_deg), abs=1e-6 if scale == 1.0 else 0.02)
+    # stems of another size are cut into other segments, and first stems are curves within 0.1 mm of the points
+    assert told == pytest.approx(scale * turned(right, turn_deg), abs=0.01 if scale == 1.0 else 0.02)
     # lengths and lean of the first stem are told as the camera shows them
-    assert shown.first - plain.first == pytest.approx([np.log(scale), np.radians(turn_deg)], abs=1e-6)
+    assert shown.first - plain.first == pytest.approx([np.log(scale), np.radians(turn_deg)], abs=1e-3)
 
 
 def test_a_camera_that_turns_slowly_shows_the_first_stem_rightly() -> None:

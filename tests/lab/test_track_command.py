@@ -93,7 +93,7 @@ def test_path_is_the_default_and_adds_numeric_columns(tmp_path: Path) -> None:
     assert header[-5:] == ["y10", "temperature_c", "quality", "folded", "tip_uncertainty_mm"]
     covariates = read_track(tmp_path / "a.csv").covariates
     assert set(covariates["folded"]) == {0.0}
-    assert np.all((covariates["quality"] > 0.5) & (covariates["quality"] <= 1.0))
+    assert np.all((covariates["quality"] > 0.3) & (covariates["quality"] <= 1.0))
     assert np.all((covariates["tip_uncertainty_mm"] > 0.0) & (covariates["tip_uncertainty_mm"] < 10.0))
     assert list(read_track(tmp_path / "c.csv").covariates) == ["temperature_c"]
 
