@@ -13,8 +13,8 @@ step:
 - growth follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after the start, and is
   ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of ``ACTIVITY``: 0 where it
   does not care, 1 where both are one activity, as in Bastien et al. 2015;
-- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once, and the stem
-  feels that bend as any other;
+- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once, and the
+  stem feels that bend as any other;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
   ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
