@@ -67,6 +67,12 @@ def test_files_without_compiled_functions_do_not_count(package: Path) -> None:
     assert fingerprint(package) != before
 
 
+def test_files_whose_functions_are_only_put_into_others_count(package: Path) -> None:
+    before = fingerprint(package)
+    (package / "parts.py").write_text("from elsewhere import inlined\n\n\n@inlined\ndef part():\n    return 1\n")
+    assert fingerprint(package) != before
+
+
 def test_a_folder_that_the_user_has_set_stays(package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path / "mine"))
     use_cache_of(package)

@@ -19,7 +19,7 @@ from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.scene import Scene
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
-from flora_lab.simulator.terms import Driven, Seen
+from flora_lab.simulator.terms import Seen, undriven
 
 Array = npt.NDArray[Any]
 
@@ -103,7 +103,6 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
     out = np.empty((scene.steps, STEM_POINTS, 2))
     stems = standing(scene.law, scene.first_cm[None])
     told = stems.points_cm
-    still, usual = np.zeros((1, 1)), np.ones((1, 1))
     shown = Seen(np.zeros((1, 1)), np.ones(1))
     with threadpool_limits(limits=1):  # one stem at a time: threads would only wait
         for k in range(scene.steps):
@@ -111,7 +110,7 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
             added = box.residual_cm(
                 seen(told, scene.light[now], run.since_h[now], run.time_h[now], scene.warmth_c[now])
             )
-            driven = Driven(scene.light[now, None], still, still, usual, usual, scene.warmth_c[now])
+            driven = undriven(scene.light[now, None], scene.warmth_c[now])
             scene.law.advance_with(
                 stems, traits[None], scene.law.terms[None], driven, shown, scene.step_h, 1, out[now, None]
             )

@@ -14,7 +14,7 @@ from flora_lab.diagnose.virtual_plants import tips_between
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
-from flora_lab.simulator.terms import Driven, Seen
+from flora_lab.simulator.terms import Seen, undriven
 
 Array = npt.NDArray[Any]
 Plant = Literal["typical", "own"]
@@ -135,7 +135,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
     for row in range(scene.steps):
         if row in place:
             memories[place[row]] = walker.memory[0]
-        driven = _driven(light[row : row + 1, None], scene.warmth_c[row : row + 1, None])
+        driven = undriven(light[row : row + 1, None], scene.warmth_c[row : row + 1, None])
         seen_by = Seen(np.zeros((0, 1)), np.ones(1))
         scene.law.advance_with(walker, own, terms[None], driven, seen_by, scene.step_h, 2, nothing)
     turn = np.radians(change.turn_deg + change.drift_deg * rows * scene.step_h / RUN_H)
@@ -147,17 +147,10 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
         stems,
         np.repeat(own, lanes, axis=0),
         np.repeat(terms[None], lanes, axis=0),
-        _driven(light[rows][None], scene.warmth_c[rows][None]),
+        undriven(light[rows][None], scene.warmth_c[rows][None]),
         Seen(turn[None], np.full(lanes, change.scale)),
         scene.step_h,
         1,
         out,
     )
     return rows, points[rows + 1] - out[0]
-
-
-def _driven(light: Array, warmth_c: Array) -> Driven:
-    """Nothing but lamps and warmth, of shapes (steps, batch, 2) and (steps, batch)."""
-    steps, batch = light.shape[:2]
-    still, usual = np.zeros((steps, batch)), np.ones((steps, batch))
-    return Driven(light, still, still, usual, usual, warmth_c)

@@ -267,6 +267,12 @@ class Driven(NamedTuple):
     warmth_c: Array
 
 
+def undriven(light: Array, warmth_c: Array) -> Driven:
+    """Nothing but lamps, shape (steps, batch, 2), and warmth, see :class:`Driven`, acts."""
+    still, usual = np.zeros(light.shape[:2]), np.ones(light.shape[:2])
+    return Driven(light, still, still, usual, usual, warmth_c)
+
+
 class Seen(NamedTuple):
     """How a camera shows a batch of plants.
 
@@ -321,7 +327,7 @@ class ExtendedLaw(TropismLaw):
         """See :meth:`flora_lab.simulator.law.Law.advance`."""
         steps, batch = bias.shape
         warmth_c = np.zeros(steps) if self._warmth_c is None else self._warmth_c[:steps]
-        driven = Driven(light, bias, np.zeros((steps, batch)), growth, np.ones((steps, batch)), warmth_c)
+        driven = undriven(light, warmth_c)._replace(bias=bias, growth=growth)
         terms = np.repeat(self.terms[None], batch, axis=0)
         seen = Seen(np.zeros((len(out), batch)), np.ones(batch))
         self.advance_with(stems, traits, terms, driven, seen, step_h, every, out)

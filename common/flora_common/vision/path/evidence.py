@@ -14,9 +14,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.runs import CameraSection
-from flora_common.vision.lamp_states import COARSE, EmptySetup, log_code
-from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.lamp_states import COARSE, log_code
 from flora_common.vision.path.survey import (
     BLOCK,
     CLEAR,
@@ -68,32 +66,8 @@ class Evidence:
         return np.asarray(cv2.transform(self.code, np.full((1, 3), 1 / 3)), dtype=np.float32)
 
 
-class PlantFinder:
-    """Turns photographs into evidence; keeps nothing from one to the next.
-
-    Args:
-        setup: the empty setup.
-        camera: anchor and scale, in px of the full picture.
-        settings: numbers of the method.
-
-    Raises:
-        BadInput: setup and camera disagree on the size, or no pixel is left in the window.
-    """
-
-    def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
-        self._surveyor = Surveyor(setup, camera, settings)
-        self.box = self._surveyor.box
-
-    def survey(self, picture: Picture) -> Survey:
-        """The first look at a whole picture.
-
-        Args:
-            picture: shape (height, width, 3), uint8, blue-green-red, full size.
-
-        Raises:
-            BadPicture: not an 8-bit colour picture of the camera's size.
-        """
-        return self._surveyor.survey(picture)
+class PlantFinder(Surveyor):
+    """Turns photographs into evidence, after a survey of each; made as a surveyor is."""
 
     def find(self, picture: Picture) -> Evidence:
         """Evidence of the plant that stands at the anchor; arguments and errors as in :meth:`survey`."""
@@ -101,7 +75,7 @@ class PlantFinder:
 
     def all_of(self, survey: Survey) -> Evidence:
         """Evidence of the plant that stands at the anchor, wherever it is in the picture."""
-        return self.part(survey, *self._surveyor.bounds(survey))
+        return self.part(survey, *self.bounds(survey))
 
     def part(self, survey: Survey, rows: slice, columns: slice, noise: float | None = None) -> Evidence:
         """Evidence in a part of the full picture; its noise is measured there where none is given."""

@@ -121,6 +121,9 @@ class Surveyor:
     def survey(self, picture: Picture) -> Survey:
         """The photograph at a quarter of its size, beside the empty setup.
 
+        Args:
+            picture: shape (height, width, 3), uint8, blue-green-red, full size.
+
         Raises:
             BadPicture: not an 8-bit colour picture of the camera's size.
         """
