@@ -131,12 +131,13 @@ def judge(plan: Plan, folder: Path, command: Sequence[str], timeout_s: float) ->
     case = draw_case(plan.seed, plan.form, plan.kind, plan.runs, effect=plan.effect)
     write_case(case, folder)
     output = folder / "diagnosis"
-    runs = [str(path) for path in sorted((folder / "measured").iterdir())]
+    runs, held_out = ([str(path) for path in sorted((folder / group).iterdir())] for group in ("measured", "held_out"))
+    judged_by = [word for run in held_out for word in ("--holdout", run)]
     started = time.monotonic()
     error = ""
     try:
         done = subprocess.run(
-            [*command, *runs, "--reference", str(folder / "reference"), "-o", str(output), "--quiet"],
+            [*command, *runs, "--reference", str(folder / "reference"), *judged_by, "-o", str(output), "--quiet"],
             env={**os.environ, **dict.fromkeys(THREADS, "1")},
             capture_output=True,
             text=True,

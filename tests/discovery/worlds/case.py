@@ -63,7 +63,7 @@ class Case:
         hidden: the effects, in no order; empty for ``none``.
         reference: runs without an effect.
         measured: runs with it.
-        held_out: further runs with it, that no finder is given.
+        held_out: further runs with it, that no finder learns from; the gain is judged on them.
         oracle: free runs of the ``typical`` plant and of each held-out run's ``own``, without drifts, over the whole
             ``run``, of all points, and at its ``end`` (the last hour), of the tip: root mean square distances,
             ``base_mm`` without and ``extended_mm`` with the true effect.
