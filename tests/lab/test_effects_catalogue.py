@@ -114,11 +114,9 @@ def test_each_form_changes_a_run_wherever_a_search_sets_out(name: str, form: int
 
 @pytest.mark.parametrize("name", [e.name for e in CATALOGUE if len(e.forms) > 1])
 def test_forms_are_not_the_same_thing_twice(name: str) -> None:
-    told = [
-        [features(change_of({name: values}, {name: form})) for form in range(len(BY_NAME[name].forms))]
-        for values in starts(BY_NAME[name])
-    ]
-    assert max(np.abs(one[0] - one[1]).max() for one in told) > 0.01
+    values = starts(BY_NAME[name])[0]
+    told = [features(change_of({name: values}, {name: form})) for form in range(len(BY_NAME[name].forms))]
+    assert np.abs(told[0] - told[1]).max() > 0.01
 
 
 @pytest.mark.parametrize("p", PARAMETERS)

@@ -209,11 +209,6 @@ def test_a_delay_is_a_light_that_shines_later(step_s: float, delay_h: float) -> 
     assert np.abs(shifted[-1] - run(base(), base().start(upright()), light, step_s)[-1]).max() > 0.02
 
 
-def test_a_late_answer_after_the_dark_is_a_lamp_that_came_on_later() -> None:
-    late = tips(with_effect("phototropic_latency", 1, delay_h=0.5), lit((3.0, RIGHT)))
-    assert late == pytest.approx(tips(base(), lit((0.5, DARK), (2.5, RIGHT))), abs=1e-9)
-
-
 @pytest.mark.parametrize("times", [2, 6])
 def test_effects_act_in_long_steps_as_in_several_short_ones(times: int) -> None:
     plant, light = base().extended(ALL_AT_ONCE), lit((6.0, RIGHT), (6.0, LEFT))

@@ -122,7 +122,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
 
     What a plant remembers follows from the lamps alone, so it is taken from a plant that saw the same ones.
     """
-    light = late_light(scene.light, scene.step_h, change.late_h, change.late_per_h, change.dark_before)
+    light = late_light(scene.light, scene.step_h, change.late_h, change.late_per_h)
     points = scene.run.points_cm[: scene.steps + 1]
     seen = np.isfinite(points[:, -1, 0])
     # A stem that lies on the soil is not one to start from.

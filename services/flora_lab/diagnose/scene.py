@@ -21,7 +21,6 @@ from flora_lab.simulator.shape import rods_through
 from flora_lab.simulator.terms import (
     ACTIVITY,
     ADAPTATION_H,
-    DARK_BEFORE,
     MEMORY,
     NEUTRAL,
     PEAK_H,
@@ -44,7 +43,7 @@ USUAL: Final = {"bias": 0.0, "gradient": 0.0, "growth": 1.0, "gain": 1.0}
 """What drives are where nothing drives."""
 _PUSH: Final = {"bias": 0.02, "gradient": 0.02, "growth": 0.2, "gain": 0.2}
 TEMPERATURE: Final = "temperature_c"
-_OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY, DARK_BEFORE]
+_OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY]
 """Terms that say of what kind another one is: they do not add up."""
 
 
@@ -181,7 +180,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (18,)."""
+        """The simulator's own terms with what is changed besides, shape (17,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -231,23 +230,22 @@ class Scene:
         return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
 
     def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 18) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 17) and light (steps, lanes, 2) of changes."""
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])
         terms = np.stack([self.terms_with(c) for c in changes])
-        late = {(c.late_h, c.late_per_h, c.dark_before) for c in changes}
+        late = {(c.late_h, c.late_per_h): k for k, c in enumerate(changes)}
         lights = {key: late_light(self.light, self.step_h, *key) for key in late}
-        light = np.stack([lights[c.late_h, c.late_per_h, c.dark_before] for c in changes], axis=1)
+        light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)
         return turn, scale, terms, light
 
 
-def late_light(light: Array, step_h: float, late_h: float, per_h: float, dark_before: bool = False) -> Array:
+def late_light(light: Array, step_h: float, late_h: float, per_h: float) -> Array:
     """What shone on the plant, if the record runs before it: levels (steps, 2).
 
-    What shone before the first step is taken to be what shone in it, or nothing where it was ``dark_before``; after
-    the last, what shone in that. A step in which a lamp changes is told by the mean of the logarithm, which is what a
-    plant sees: half a step of light is not half of it.
+    What shone before the first step and after the last is taken to be what shone in these. A step in which a lamp
+    changes is told by the mean of the logarithm, which is what a plant sees: half a step of light is not half of it.
     """
     if late_h == 0.0 and per_h == 0.0:
         return light
@@ -256,8 +254,7 @@ def late_light(light: Array, step_h: float, late_h: float, per_h: float, dark_be
     edges = np.arange(steps + 1) * step_h
     then = edges - late_h - per_h * edges
     dose = np.concatenate([np.zeros((1, 2)), np.cumsum(seen, axis=0) * step_h])
-    before = np.zeros(2) if dark_before else seen[0]
-    beyond = np.minimum(then, 0.0)[:, None] * before + np.maximum(then - edges[-1], 0.0)[:, None] * seen[-1]
+    beyond = np.minimum(then, 0.0)[:, None] * seen[0] + np.maximum(then - edges[-1], 0.0)[:, None] * seen[-1]
     told = np.stack([np.interp(then, edges, dose[:, lamp]) for lamp in range(2)], axis=1) + beyond
     means = np.diff(told, axis=0) / np.maximum(np.diff(then), 1e-9)[:, None]
     return np.asarray(LIGHT_HALF * np.expm1(np.clip(means, 0.0, None)))

@@ -8,14 +8,8 @@ from flora_lab.effects.effect import Change, Effect, Parameter, Values
 
 
 def act(change: Change, v: Values) -> None:
-    """The light shone later than its record says, and before that the lamp of its first row."""
+    """The light shone later than its record says."""
     change.late_h += v["offset_h"]
-
-
-def act_after_dark(change: Change, v: Values) -> None:
-    """The light shone later than its record says; before that it was dark."""
-    act(change, v)
-    change.dark_before = True
 
 
 def sentence(v: Values) -> str:
@@ -39,7 +33,7 @@ EFFECT: Final = Effect(
             starts=(-0.4, 0.4),
         ),
     ),
-    forms=(act, act_after_dark),
+    forms=(act,),
     sentence=sentence,
     same_as={"phototropic_latency": "a picture that shows the lamps change, with its time"},
     exactly=frozenset({"phototropic_latency"}),

@@ -85,13 +85,12 @@ class Change:
 
     Attributes:
         traits: added to the logarithms of the plant's constants, shape (9,).
-        terms: see :mod:`flora_lab.simulator.terms`, shape (18,).
+        terms: see :mod:`flora_lab.simulator.terms`, shape (17,).
         turn_deg: of the camera, positive when stems look as if they leant more to the right.
         drift_deg: the same, growing from 0 to this over 72 h.
         scale: centimetres that the camera takes one for.
         late_h: by how much the record of the lamps runs before what they did.
         late_per_h: by how much more with each hour.
-        dark_before: whether nothing shone before the record's first row, rather than what it tells.
         rhythm_cm: amplitude of the tip's own swing.
         rhythm_h: its period.
     """
@@ -103,7 +102,6 @@ class Change:
     scale: float = 1.0
     late_h: float = 0.0
     late_per_h: float = 0.0
-    dark_before: bool = False
     rhythm_cm: float = 0.0
     rhythm_h: float = 1.64
 
@@ -114,8 +112,7 @@ class Change:
     def is_but_for_traits(self, other: Change) -> bool:
         """Whether it is the same as another one, whatever both do to the plant's constants."""
         mine, its = (
-            (c.turn_deg, c.drift_deg, c.scale, c.late_h, c.late_per_h, c.dark_before, c.rhythm_cm, c.rhythm_h)
-            for c in (self, other)
+            (c.turn_deg, c.drift_deg, c.scale, c.late_h, c.late_per_h, c.rhythm_cm, c.rhythm_h) for c in (self, other)
         )
         return mine == its and bool(np.array_equal(self.terms, other.terms))
 

@@ -9,14 +9,8 @@ from flora_lab.simulator import terms
 
 
 def act(change: Change, v: Values) -> None:
-    """The light acts later, and did so before the record began."""
+    """The light acts later."""
     change.terms[terms.DELAY_H] += max(0.0, v["delay_h"])
-
-
-def act_after_dark(change: Change, v: Values) -> None:
-    """The light acts later; before the record there was none."""
-    act(change, v)
-    change.terms[terms.DARK_BEFORE] = 1.0
 
 
 def sentence(v: Values) -> str:
@@ -40,7 +34,7 @@ EFFECT: Final = Effect(
             starts=(0.4,),
         ),
     ),
-    forms=(act, act_after_dark),
+    forms=(act,),
     sentence=sentence,
     same_as={"clock_offset": "a picture that shows the lamps change, with its time"},
     exactly=frozenset({"clock_offset"}),

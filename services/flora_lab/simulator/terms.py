@@ -4,8 +4,7 @@ Every term has a value at which it does nothing (:data:`NEUTRAL`), so that one l
 What is found about real plants is put into words and ranges in :mod:`flora_lab.effects`; here is what it means for a
 step:
 
-- the light comes later, by a pure delay (``DELAY_H``) of at most two hours. What came before the first step is what
-  came in it, or, where it was ``DARK_BEFORE`` (1), nothing;
+- the light comes later, by a pure delay (``DELAY_H``) of at most two hours;
 - a lamp's pull is a factor on what it does to the stem, not on its brightness, whose logarithm hardly feels a factor:
   ``RIGHT_TO_LEFT`` for the right lamp; both lose ``AGEING_PER_H`` of it per hour; while a lamp is on, its pull falls by
   up to ``ADAPTATION``, with ``ADAPTATION_H`` as time constant, and comes back with the same one while it is off;
@@ -42,11 +41,11 @@ Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
-BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, DARK_BEFORE = range(11, 18)
+BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS = range(11, 17)
 """Columns of the terms."""
-TERMS: Final = 18
+TERMS: Final = 17
 NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 5)])
-"""Values at which nothing is changed, shape (18,)."""
+"""Values at which nothing is changed, shape (17,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -74,18 +73,17 @@ def _between(before: float, after: float, share: float) -> float:
 
 
 @inlined
-def _delayed(memory: Array, left: float, right: float, t: Array, dt_h: float) -> tuple[float, float]:
-    """The levels over this step as they were ``DELAY_H`` ago, by the mean of what is seen of them; the step's own ones
+def _delayed(memory: Array, left: float, right: float, delay_h: float, dt_h: float) -> tuple[float, float]:
+    """The levels over this step as they were ``delay_h`` ago, by the mean of what is seen of them; the step's own ones
     are noted.
 
-    Of several steps in five minutes the last is noted, so that a change of light within them may act that much too
-    early.
+    Before the first step that it is told of, the lamps are taken to have been as they were in it. Of several steps in
+    five minutes the last is noted, so that a change of light within them may act that much too early.
     """
-    delay_h, lit = t[DELAY_H], 1.0 - t[DARK_BEFORE]
     told_h = memory[_CLOCK, 1]
     if told_h == 0.0:
         for slot in range(_SLOTS):
-            memory[_LINE + slot, 0], memory[_LINE + slot, 1] = lit * left, lit * right
+            memory[_LINE + slot, 0], memory[_LINE + slot, 1] = left, right
     slots = told_h / LONGEST_STEP_H
     at = int(slots + _ROUNDING)
     memory[_LINE + at % _SLOTS, 0], memory[_LINE + at % _SLOTS, 1] = left, right
@@ -143,13 +141,13 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (18,).
+        t: the terms, shape (17,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
     """
     time_h = memory[_CLOCK, 0]
-    left_late, right_late = _delayed(memory, left, right, t, dt_h)
+    left_late, right_late = _delayed(memory, left, right, t[DELAY_H], dt_h)
     left_pull, right_pull = _pull(memory, 0, left_late, t, dt_h), _pull(memory, 1, right_late, t, dt_h)
     factor = _growth_factor(time_h, warmth_c, t)
     activity = 1.0 if t[ACTIVITY] == 0.0 else float(factor ** t[ACTIVITY])
