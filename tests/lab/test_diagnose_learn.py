@@ -6,6 +6,7 @@ import functools
 from dataclasses import fields
 
 import numpy as np
+import pytest
 from diagnose_runs import REFERENCE, SPREAD, TYPICAL, base, known, scene_of, scenes_of
 
 from flora_lab.diagnose import chance, learn
@@ -14,6 +15,7 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.knowledge import ROUNDS, blocks, learn_from, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
+from flora_lab.simulator.terms import SIDE_ALONE
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
 
@@ -24,7 +26,8 @@ def wild() -> tuple[Base, list[Found]]:
     odd = TYPICAL.copy()
     odd[[NAMES.index("photoception_per_cm_h"), NAMES.index("proprioception_per_h")]] += np.log([0.15, 4.0])
     with one_blas_thread():
-        return learn.learned([*scenes_of(REFERENCE[:-1]), scene_of(8, traits=odd)])[:2]
+        found = learn.learned([*scenes_of(REFERENCE[:-1]), scene_of(8, traits=odd)])
+    return found.base, found.fits
 
 
 def test_typical_plants_are_found_within_the_doubt() -> None:
@@ -110,9 +113,20 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     assert twice[0].swings.power.tobytes() == twice[1].swings.power.tobytes()
 
 
+@pytest.mark.parametrize("side_alone", [0.0, 1.0])
+def test_the_law_that_the_plants_are_under_is_chosen(side_alone: float) -> None:
+    change = Change()
+    change.terms[SIDE_ALONE] = side_alone
+    with one_blas_thread():
+        known = learn_from([scene_of(seed, change=change) for seed in REFERENCE[:5]])
+    assert [one.effect for one in known.law] == ["side_alone"] * int(side_alone)
+    away = (known.base.mean - TYPICAL) / np.sqrt(np.diag(known.base.doubt + SPREAD / 5))
+    assert np.abs(away).max() < 4.0
+
+
 def test_what_is_typical_does_not_depend_on_the_order_of_runs() -> None:
     with one_blas_thread():
-        there, back = (learn.learned(scenes_of(seeds))[0] for seeds in ((0, 1, 2, 3), (3, 1, 0, 2)))
+        there, back = (learn.learned(scenes_of(seeds)).base for seeds in ((0, 1, 2, 3), (3, 1, 0, 2)))
     assert np.abs(there.mean - back.mean).max() < 0.01
     assert np.abs(there.spread - back.spread).max() < 0.1 * np.abs(prior_spread()).max()
 

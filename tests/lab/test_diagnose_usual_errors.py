@@ -12,7 +12,6 @@ from flora_lab.diagnose import chance, usual_errors
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
 from flora_lab.diagnose.knowledge import Knowledge, learn_from
-from flora_lab.diagnose.law_forms import FORMS
 from flora_lab.diagnose.scene import Lanes
 from flora_lab.diagnose.usual_errors import (
     UsualErrors,
@@ -26,6 +25,7 @@ from flora_lab.diagnose.usual_errors import (
 )
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, Effect
+from flora_lab.effects.law_forms import FORMS
 from flora_lab.simulator.terms import BRIGHTNESS_MORE
 from flora_lab.threads import one_blas_thread
 

@@ -37,6 +37,7 @@ class Part:
         typical: size that it is expected to have, its standard deviation.
         doubt: standard deviation of the logarithm of that.
         period_h: of a part that swings; 0 for none.
+        first_h: of a part that is there at the start alone, and fades with this time constant; 0 for one that stays.
         least: size that it has however quiet the reference was: no stem is measured better than to 0.3 mm, from hour
             to hour or for half a day, and no law is, nor what is taken for linear about a plant.
     """
@@ -47,6 +48,7 @@ class Part:
     typical: float
     doubt: float = 1.0
     period_h: float = 0.0
+    first_h: float = 0.0
     least: float = 0.0
 
 
@@ -62,6 +64,8 @@ PARTS: Final = (
     Part("growth_rhythm_share", "growth", 1e6, 0.04, 1.0, DAY_H),
     Part("gain_fast_share", "gain", 3.0, 0.04),
     Part("gain_slow_share", "gain", 16.0, 0.04),
+    # What shone on a plant before its first picture is not known, nor how late it answers the first light.
+    Part("gain_first_share", "gain", 1e6, 0.6, 0.5, first_h=0.5, least=0.5),
     Part("measure_cm", "measure", 0.0, 0.04, least=0.03),
     Part("wobble_cm", "measure", 2.0, 0.03),
     Part("wobble_slow_cm", "measure", 12.0, 0.03, least=0.03),
@@ -80,12 +84,12 @@ _MOST: Final = 20.0
 
 
 def sizes_expected() -> Array:
-    """Shape (17,)."""
+    """Shape (18,)."""
     return np.array([part.typical for part in PARTS])
 
 
 def covariances(scene: Scene, answers: Answers) -> Array:
-    """What each part would give in a run if its size were 1, shape (17, m, m)."""
+    """What each part would give in a run if its size were 1, shape (18, m, m)."""
     m = scene.size
     found = np.empty((len(PARTS), m, m))
     row_h = scene.time_h[scene.window]
@@ -95,16 +99,25 @@ def covariances(scene: Scene, answers: Answers) -> Array:
             found[i] = _alike(scene, part.drive) * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
             continue
         at_h = answers.at_h[part.drive]
-        lag_h = np.abs(at_h[:, None] - at_h[None, :])
-        shape = np.exp(-lag_h / part.memory_h)
-        if part.period_h:
-            shape = shape * np.cos(2.0 * np.pi * lag_h / part.period_h)
+        shape = over_time(part, at_h)
         if part.name.startswith("nutation"):
             size = (answers.length_cm / REFERENCE_CM) ** 2
             shape = shape * size[:, None] * size[None, :]
         answer = answers.to[part.drive]
         found[i] = answer @ shape @ answer.T
     return found
+
+
+def over_time(part: Part, at_h: Array) -> Array:
+    """How alike what a part does is at some times, shape (k, k); 1 is its size."""
+    lag_h = np.abs(at_h[:, None] - at_h[None, :])
+    alike = np.exp(-lag_h / part.memory_h)
+    if part.period_h:
+        alike = alike * np.cos(2.0 * np.pi * lag_h / part.period_h)
+    if part.first_h:
+        left = np.exp(-(at_h - at_h[0]) / part.first_h)
+        alike = alike * left[:, None] * left[None, :]
+    return np.asarray(alike)
 
 
 def of_swing(scene: Scene, answers: Answers, swing: Swing) -> Array:
@@ -145,10 +158,10 @@ def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence
         residuals: measured minus what the typical plant does, one per run, shape (m,).
         parts: of the same runs, see :func:`covariances`.
         known: covariance that is there besides, shape (m, m): that plants differ.
-        start: sizes to begin with, shape (17,).
+        start: sizes to begin with, shape (18,).
 
     Returns:
-        Sizes, shape (17,).
+        Sizes, shape (18,).
     """
     middle = np.log(sizes_expected())
     doubt = np.array([part.doubt for part in PARTS])

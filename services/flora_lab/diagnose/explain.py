@@ -32,6 +32,10 @@ MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 BETTER: Final = 4.0
 """Nats by which something without a name must be better than the best cause, which then is not believed."""
+NAMELESS: Final = 10.0
+"""Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
+form of the law adds up over runs."""
+_RUNS: Final = 3
 BESIDE: Final = 0.15
 """Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
 _RESTARTS: Final = 2
@@ -69,10 +73,9 @@ class Stage:
     tried: tuple[Tried, ...]
     unnamed: Unnamed | None = None
 
-    @property
-    def has_no_name(self) -> bool:
-        """Whether something that is no cause explains the runs better than any that is."""
-        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain, 0.0) + BETTER
+    def has_no_name(self, least: float) -> bool:
+        """Whether something that is no cause explains the runs better than any that is, by at least so many nats."""
+        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain + BETTER, least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +123,9 @@ class Explainer:
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
         self.known = known
-        self.claim = CLAIM + _DOUBT * max(0.0, known.errors.beyond_expected)
+        doubt = _DOUBT * max(0.0, known.errors.beyond_expected)
+        self.claim = CLAIM + doubt
+        self.nameless = NAMELESS * max(1.0, len(scenes) / _RUNS) + doubt
         self._on_step = on_step
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
@@ -147,7 +152,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name:
+            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name(self.nameless):
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -171,7 +176,7 @@ class Explainer:
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
         named = sum(one.tried.gain for one in accepted)
-        enough = last.unnamed is not None and last.unnamed.gain > max(self._needed(accepted), BESIDE * named)
+        enough = last.unnamed is not None and last.unnamed.gain > max(self.nameless, BESIDE * named)
         return last.unnamed if enough else None
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
@@ -273,7 +278,7 @@ class Explainer:
             for scene, traits in zip(self.scenes, found.traits, strict=True)
         ]
         self._errors = [
-            self.known.errors.of_run(scene, traits, change)
+            self.known.errors.of_run(scene, traits, change, len(self.scenes))
             for scene, traits in zip(self.scenes, found.traits, strict=True)
         ]
 

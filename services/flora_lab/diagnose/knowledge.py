@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -16,12 +17,19 @@ from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import Change
+from flora_lab.effects.law_forms import SIDE_ALONE
+from flora_lab.simulator.extended import change_of
+from flora_lab.simulator.store import Extension
 
 Array = npt.NDArray[Any]
 
 _STEPS: Final = 8
 _PARTS: Final = 6
-ROUNDS: Final = learn.ROUNDS + 1
+LAWS: Final[tuple[tuple[Extension, ...], ...]] = ((), (Extension(SIDE_ALONE.name, {"amount": 1.0}),))
+"""Under which the reference is learned; the first one is the law as it is written."""
+_RATHER: Final = 3.0
+"""Nats by which another law must be better than that."""
+ROUNDS: Final = len(LAWS) * learn.ROUNDS + 1
 """How often :func:`learn_from` tells that it has come farther."""
 
 
@@ -36,6 +44,7 @@ class Knowledge:
         left: what each reference run leaves by itself, see :func:`blocks`, shape (runs, 2).
         swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
         residuals: what the base gets wrong about its own runs.
+        law: of :data:`LAWS`, which the plants are under.
     """
 
     base: Base
@@ -44,11 +53,13 @@ class Knowledge:
     left: Array
     swing_evidence: Array
     residuals: ReferenceResiduals
+    law: tuple[Extension, ...] = ()
 
 
 def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
-    """Learn from runs in which nothing is taken to be wrong."""
-    base, fits, parts = learn.learned(scenes, on_round)
+    """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
+    law, scenes, best = _under_the_best(scenes, on_round)
+    base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
     ends = [_on(run, alone, fit) for run, fit in zip(runs, fits, strict=True)]
@@ -64,7 +75,20 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     on_round(ROUNDS)
     shown = reference_residuals(scenes, base, ends)
-    return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown)
+    return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
+
+
+def _under_the_best(
+    scenes: Sequence[Scene], on_round: Callable[[int], None]
+) -> tuple[tuple[Extension, ...], list[Scene], learn.Learned]:
+    """The law, the runs under it, and what they tell."""
+    tried: list[tuple[tuple[Extension, ...], list[Scene], learn.Learned]] = []
+    rounds = itertools.count(1)
+    for law in LAWS:
+        under = [scene.under(change_of(law, "law")) for scene in scenes]
+        tried.append((law, under, learn.learned(under, lambda _: on_round(next(rounds)))))
+    best = max(tried, key=lambda one: one[2].evidence)
+    return best if best[2].evidence > tried[0][2].evidence + _RATHER else tried[0]
 
 
 def _on(run: Ready, alone: Base, fit: Found) -> Found:

@@ -47,7 +47,7 @@ class _Linear:
     Attributes:
         residual: measured minus what the typical plant does, shape (m,).
         slopes: of the features by the plant's own unknowns, shape (m, 11).
-        parts: covariances of what happens by chance, per unit, shape (17, m, m).
+        parts: covariances of what happens by chance, per unit, shape (18, m, m).
     """
 
     residual: Array
@@ -60,18 +60,29 @@ class _Linear:
         return np.asarray(self.slopes @ own @ self.slopes.T)
 
 
-def learned(
-    scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None
-) -> tuple[Base, list[Found], list[Array]]:
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What reference runs tell of plants under one law.
+
+    Attributes:
+        base: of plants.
+        fits: of each run by itself.
+        parts: what happens by chance about these, see :func:`flora_lab.diagnose.chance.covariances`.
+        evidence: logarithm of the probability of the runs, up to a constant that all laws share.
+    """
+
+    base: Base
+    fits: list[Found]
+    parts: list[Array]
+    evidence: float
+
+
+def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Learned:
     """Learn a base from runs in which nothing is taken to be wrong.
 
     Args:
         scenes: one per run.
         on_round: told the number of each round that is done.
-
-    Returns:
-        The base, each run's own fit, and what happens by chance about that, see
-        :func:`flora_lab.diagnose.chance.covariances`.
     """
     known_doubt = np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
     count = len(scenes)
@@ -87,6 +98,7 @@ def learned(
     )
     fits: list[Found] = []
     parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
+    linear: list[_Linear] = []
     for number in range(1, ROUNDS + 1):
         alone = base.of_single_runs()
         runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, parts, strict=True)]
@@ -102,7 +114,7 @@ def learned(
         linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
         base = _with_chance(linear, base)
         on_round(number)
-    return base, fits, parts
+    return Learned(base, fits, parts, _evidence(linear, base))
 
 
 def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -> list[Found]:
@@ -186,6 +198,17 @@ def _with_chance(runs: Sequence[_Linear], base: Base) -> Base:
     known = [run.of_plants(base.spread) for run in runs]
     sizes = chance.sizes_of([run.residual for run in runs], [run.parts for run in runs], known, base.sizes)
     return replace(base, sizes=sizes)
+
+
+def _evidence(runs: Sequence[_Linear], base: Base) -> float:
+    """Of all runs, each about the typical plant, by what plants differ in and what happens by chance."""
+    total = 0.0
+    for run in runs:
+        whole = np.tensordot(base.sizes**2, run.parts, axes=1) + run.of_plants(base.spread + base.doubt)
+        root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
+        white = scipy.linalg.solve_triangular(root, run.residual, lower=True, check_finite=False)
+        total -= float(np.log(np.diag(root)).sum() + 0.5 * white @ white)
+    return total
 
 
 def _firsts(scenes: Sequence[Scene]) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ Compared are hourly means, which keep what matters over hours and are rid of mos
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -123,6 +124,12 @@ class Scene:
         self.window = np.repeat(np.arange(self.windows), len(FEATURES))[self.is_told]
         self.feature = np.tile(np.arange(len(FEATURES)), self.windows)[self.is_told]
 
+    def under(self, change: Change) -> Scene:
+        """The same run for a law that is changed so; what the change does to the record is left out."""
+        other = copy.copy(self)
+        other.law = ExtendedLaw(self.law.lamps, self.terms_with(change))
+        return other
+
     @property
     def has_temperature(self) -> bool:
         """Whether the run tells how warm it was, and it was not always the same."""
@@ -180,7 +187,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (17,)."""
+        """The simulator's own terms with what is changed besides, shape (18,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -230,7 +237,7 @@ class Scene:
         return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
 
     def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 17) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 18) and light (steps, lanes, 2) of changes."""
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])

@@ -16,6 +16,7 @@ from flora_lab.diagnose.joint import TRAITS, Base
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.rhythm import Swings
 from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.effects import law_forms
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.growing import DataRange
@@ -44,10 +45,12 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
 }
 
 
-def simulator_of(base: Base, lamps: LampsSection, shown: DataRange, usual_c: float | None) -> RodSimulator:
-    """The base as a simulator whose plants differ, and to which things happen by chance."""
+def simulator_of(
+    base: Base, lamps: LampsSection, shown: DataRange, usual_c: float | None, law: Sequence[Extension] = ()
+) -> RodSimulator:
+    """The base, learned under a law, as a simulator whose plants differ, and to which things happen by chance."""
     prior = Prior(base.mean, base.spread + base.doubt)
-    return RodSimulator(lamps, prior, noise_of(base.sizes), shown, usual_temperature_c=usual_c)
+    return RodSimulator(lamps, prior, noise_of(base.sizes), shown, extensions=law, usual_temperature_c=usual_c)
 
 
 def noise_of(sizes: Array) -> DriveNoise:
@@ -55,7 +58,7 @@ def noise_of(sizes: Array) -> DriveNoise:
     by_drive: dict[str, list[tuple[float, float]]] = {}
     named = chance.as_dict(sizes)
     for part in chance.PARTS:
-        if part.period_h == 0.0 and part.memory_h < 1e5:
+        if part.period_h == 0.0 and part.first_h == 0.0 and part.memory_h < 1e5:
             drive = "measure" if part.drive in chance.MEASURED else part.drive
             by_drive.setdefault(drive, []).append((named[part.name], part.memory_h))
 
@@ -159,6 +162,7 @@ def read_known(stored: Stored) -> Knowledge:
         values["left"],
         values["swing_evidence"],
         _shown(stored),
+        tuple(extension for extension in stored.info.extension if extension.effect in law_forms.BY_NAME),
     )
 
 

@@ -6,7 +6,7 @@ every effect of the catalogue, by as much on the mean and scattered by as much a
 probable. All of it is found together, so that what two effects explain alike is counted once. An effect in other runs
 is news only beyond that. Kennedy and O'Hagan 2001 call it the discrepancy.
 
-So are forms of the law that are the plants' rather than its own (:mod:`flora_lab.diagnose.law_forms`).
+So are forms of the law that are the plants' rather than its own (:mod:`flora_lab.effects.law_forms`).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ import scipy.optimize
 
 from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
 from flora_lab.diagnose.joint import START_SD, Base, Found, Ready
-from flora_lab.diagnose.law_forms import FORMS, NEARER
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change, Effect
+from flora_lab.effects.law_forms import FORMS, NEARER
 
 Array = npt.NDArray[Any]
 
@@ -123,18 +123,20 @@ class UsualErrors:
         """By how much more the law is wrong than was expected: mean logarithm of its errors' sizes over those."""
         return float(np.mean(np.log(self.sizes / expected_sizes())))
 
-    def of_run(self, scene: Scene, traits: Array, change: Change) -> tuple[Array, Array]:
+    def of_run(self, scene: Scene, traits: Array, change: Change, together: int = 1) -> tuple[Array, Array]:
         """What they are in a run's features: on the mean, shape (m,), and covariance, shape (m, m).
 
         Args:
             scene: the run.
             traits: of the plant about which all is linear, without what ``change`` adds, shape (9,).
             change: what causes change already.
+            together: number of runs that will be explained together: all are off by what is not known of the mean,
+                which does not become less over many.
         """
         ways = directions(scene, traits, change)
         pushed = np.concatenate([size * along for size, along in zip(self.sizes, ways, strict=True)], axis=1)
         # The mean over so few runs is not known for certain.
-        return np.concatenate(ways, axis=1) @ self.mean, np.asarray(pushed @ pushed.T) * (1.0 + 1.0 / self.runs)
+        return np.concatenate(ways, axis=1) @ self.mean, np.asarray(pushed @ pushed.T) * (1.0 + together / self.runs)
 
 
 def directions(scene: Scene, traits: Array, change: Change) -> list[Array]:

@@ -51,11 +51,7 @@ def _course(rng: np.random.Generator, part: chance.Part, scene: Scene, length_cm
     per_knot = max(1, round(KNOT_H[part.drive] / scene.step_h))
     knots = -(-scene.steps // per_knot)
     at_h = (np.arange(knots) + 0.5) * per_knot * scene.step_h
-    lag_h = np.abs(at_h[:, None] - at_h[None, :])
-    alike = np.exp(-lag_h / part.memory_h)
-    if part.period_h:
-        alike = alike * np.cos(2.0 * np.pi * lag_h / part.period_h)
-    values, directions = np.linalg.eigh(alike)
+    values, directions = np.linalg.eigh(chance.over_time(part, at_h))
     root = directions * np.sqrt(np.maximum(values, _JITTER))
     course = np.repeat(root @ rng.standard_normal((knots, PLANTS)), per_knot, axis=0)[: scene.steps]
     if part.name.startswith("nutation"):

@@ -140,7 +140,7 @@ def _learned(told: Runs, provenance: Provenance, words: str, stage: Stage) -> St
     with one_blas_thread():
         known = learn_from(told.scenes(usual_c), lambda _: step())
     lamps = next((run.lamps for run in told.measured if run.lamps is not None), LampsSection())
-    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c)
+    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c, known.law)
     return Start(simulator, known, usual_c, provenance, words, is_new=True)
 
 
@@ -242,4 +242,9 @@ def _provenance(told: Runs, words: str) -> Provenance:
 
 
 def _base_words(known: Knowledge) -> dict[str, Any]:
-    return {"runs": known.base.runs, "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()}}
+    law = [extension.effect for extension in known.law] or ["as written"]
+    return {
+        "runs": known.base.runs,
+        "law": law,
+        "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()},
+    }

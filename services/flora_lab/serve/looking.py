@@ -49,7 +49,7 @@ def learned(task: LearnTask) -> Path:
     with one_blas_thread():
         known = learn_from(told.scenes(usual_c))
     lamps = next((run.lamps for run in told.measured if run.lamps is not None), LampsSection())
-    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c)
+    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c, known.law)
     track = [TrackEntry(run.name, run.plant, run.sha256) for run in told.measured]
     provenance = Provenance(
         recipe="diagnose", seed=0, software=software(), split=f"learned from the runs in {task.reference}", track=track

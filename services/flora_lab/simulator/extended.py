@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.suggest import did_you_mean
-from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects import catalogue, law_forms
 from flora_lab.effects.effect import RUN_H, Change, Effect, Parameter
 from flora_lab.simulator.drives import REFERENCE_CM, DriveNoise
 from flora_lab.simulator.law import standing
@@ -51,9 +51,10 @@ def change_of(extensions: Sequence[Extension], where: str) -> Change:
 
 
 def _effect_of(extension: Extension, where: str) -> Effect:
-    effect = BY_NAME.get(extension.effect)
+    known: Mapping[str, Effect] = {**catalogue.BY_NAME, **law_forms.BY_NAME}
+    effect = known.get(extension.effect)
     if effect is None:
-        raise BadInput(f"{where}: no effect `{extension.effect[:40]}`{did_you_mean(extension.effect, BY_NAME)}")
+        raise BadInput(f"{where}: no effect `{extension.effect[:40]}`{did_you_mean(extension.effect, known)}")
     told = f"{where}: effect `{effect.name}`"
     if effect.where in _OF_THE_RECORD:
         raise BadInput(f"{told} is one of the {effect.where}: correct the data for it; it is no part of a simulator")

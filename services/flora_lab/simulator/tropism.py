@@ -71,15 +71,18 @@ class Form(NamedTuple):
         edge_more: logarithm of how much wider the edge of mature tissue is.
         spurt_more: by how much faster the stem grows half way between its early and late length than a straight line
             between both rates.
+        side_alone: share of a pull that is the same whatever way the stem points: which side the light comes from
+            counts, not how steeply it falls on the stem.
     """
 
     brightness_more: float
     lean_more: float
     edge_more: float
     spurt_more: float
+    side_alone: float
 
 
-AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0)
+AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -109,7 +112,7 @@ def _light_across(
     right: float,
     left_pull: float,
     right_pull: float,
-    brightness_more: float,
+    form: Form,
     lamps_cm: Array,
 ) -> float:
     """S * l_n at a place, for the levels that act; each lamp's part of it times its pull."""
@@ -126,8 +129,9 @@ def _light_across(
     pull_x, pull_y = to_left * by_left + to_right * by_right, up * (by_left + by_right)
     brightness = (lamps_cm[0] ** 2 + lamps_cm[1] ** 2) * size / (left_3 * right_3)
     strength = fast_log1p(brightness / LIGHT_HALF) / _RESPONSE
-    strength *= max(1.0 + brightness_more * _RESPONSE * (strength - 1.0), _LEAST_STRENGTH)
-    across = strength * (pull_x * cos - pull_y * sin) / size
+    strength *= max(1.0 + form.brightness_more * _RESPONSE * (strength - 1.0), _LEAST_STRENGTH)
+    on_the_stem = pull_x * cos - pull_y * sin
+    across = strength * (on_the_stem + form.side_alone * (pull_x - on_the_stem)) / size
     return 0.0 if brightness < _DARK else float(across)
 
 
@@ -161,9 +165,7 @@ def _bend(
         share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / edge_cm))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
     for j in range(whole_registers(n)):
-        light = _light_across(
-            x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form.brightness_more, lamps_cm
-        )
+        light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form, lamps_cm)
         weight = p[GRAVI] * sin[j] * (1.0 + form.lean_more * (sin[j] * sin[j] - _USUAL_LEAN_2))
         higher = max(1.0 - 2.0 * (total_cm - arc[j]) / p[MATURE], -1.0)
         stimulus = p[PHOTO] * light - weight + (bias + gradient * higher) + sideways * cos[j]

@@ -2,12 +2,13 @@
 
 How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
 in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
-what else would look like an effect.
+what else would look like an effect. Small differences are taken for errors of the law (:data:`FORMS`); which of two
+laws it is where they differ much (:data:`SIDE_ALONE`) is chosen as a whole.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
@@ -28,6 +29,13 @@ def _adding(term: int) -> Callable[[Change, Values], None]:
 
 NEARER: Final = _form(
     "nearer", "Long stems lean towards the camera", terms.NEARER, 0.12, "8 cm in depth seen from 70 cm"
+)
+SIDE_ALONE: Final = _form(
+    "side_alone",
+    "Which side the light comes from counts, not how steeply it falls on the stem",
+    terms.SIDE_ALONE,
+    1.0,
+    "0: the sine of the angle between light and stem (Bastien et al. 2015); 1: a stimulus to one side",
 )
 FORMS: Final = (
     _form(
@@ -61,3 +69,4 @@ FORMS: Final = (
     NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""
+BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE)}
