@@ -15,7 +15,7 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.knowledge import ROUNDS, blocks, learn_from, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
-from flora_lab.simulator.terms import SIDE_ALONE
+from flora_lab.simulator.terms import EVEN_LIGHT, SIDE_ALONE
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
 
@@ -113,13 +113,14 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     assert twice[0].swings.power.tobytes() == twice[1].swings.power.tobytes()
 
 
-@pytest.mark.parametrize("side_alone", [0.0, 1.0])
-def test_the_law_that_the_plants_are_under_is_chosen(side_alone: float) -> None:
+@pytest.mark.parametrize("forms", [{}, {"side_alone": SIDE_ALONE}, {"even_light": EVEN_LIGHT}])
+def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> None:
     change = Change()
-    change.terms[SIDE_ALONE] = side_alone
+    for term in forms.values():
+        change.terms[term] = 1.0
     with one_blas_thread():
         known = learn_from([scene_of(seed, change=change) for seed in REFERENCE[:5]])
-    assert [one.effect for one in known.law] == ["side_alone"] * int(side_alone)
+    assert [one.effect for one in known.law] == list(forms)
     away = (known.base.mean - TYPICAL) / np.sqrt(np.diag(known.base.doubt + SPREAD / 5))
     assert np.abs(away).max() < 4.0
 

@@ -17,7 +17,7 @@ from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import Change
-from flora_lab.effects.law_forms import SIDE_ALONE
+from flora_lab.effects.law_forms import EVEN_LIGHT, SIDE_ALONE
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 
@@ -25,11 +25,11 @@ Array = npt.NDArray[Any]
 
 _STEPS: Final = 8
 _PARTS: Final = 6
-LAWS: Final[tuple[tuple[Extension, ...], ...]] = ((), (Extension(SIDE_ALONE.name, {"amount": 1.0}),))
-"""Under which the reference is learned; the first one is the law as it is written."""
+_LAWS: Final = (SIDE_ALONE, EVEN_LIGHT)
+"""In what the law may be another than it is written, tried in this order."""
 _RATHER: Final = 3.0
-"""Nats by which another law must be better than that."""
-ROUNDS: Final = len(LAWS) * learn.ROUNDS + 1
+"""Nats by which another law must be better."""
+ROUNDS: Final = 1 + len(_LAWS) + learn.ROUNDS + 1
 """How often :func:`learn_from` tells that it has come farther."""
 
 
@@ -44,7 +44,7 @@ class Knowledge:
         left: what each reference run leaves by itself, see :func:`blocks`, shape (runs, 2).
         swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
         residuals: what the base gets wrong about its own runs.
-        law: of :data:`LAWS`, which the plants are under.
+        law: the forms of the law that its plants are under; none where it is as it is written.
     """
 
     base: Base
@@ -82,13 +82,23 @@ def _under_the_best(
     scenes: Sequence[Scene], on_round: Callable[[int], None]
 ) -> tuple[tuple[Extension, ...], list[Scene], learn.Learned]:
     """The law, the runs under it, and what they tell."""
-    tried: list[tuple[tuple[Extension, ...], list[Scene], learn.Learned]] = []
     rounds = itertools.count(1)
-    for law in LAWS:
-        under = [scene.under(change_of(law, "law")) for scene in scenes]
-        tried.append((law, under, learn.learned(under, lambda _: on_round(next(rounds)))))
-    best = max(tried, key=lambda one: one[2].evidence)
-    return best if best[2].evidence > tried[0][2].evidence + _RATHER else tried[0]
+
+    def told(_: int) -> None:
+        on_round(next(rounds))
+
+    def under(law: tuple[Extension, ...]) -> list[Scene]:
+        return [scene.under(change_of(law, "law")) for scene in scenes]
+
+    law: tuple[Extension, ...] = ()
+    most = learn.learned(scenes, told, 1).evidence
+    for form in _LAWS:
+        other = (*law, Extension(form.name, {"amount": 1.0}))
+        evidence = learn.learned(under(other), told, 1).evidence
+        if evidence > most + _RATHER:
+            law, most = other, evidence
+    chosen = under(law)
+    return law, chosen, learn.learned(chosen, told)
 
 
 def _on(run: Ready, alone: Base, fit: Found) -> Found:

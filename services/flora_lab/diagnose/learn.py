@@ -77,12 +77,13 @@ class Learned:
     evidence: float
 
 
-def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Learned:
+def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None, rounds: int = ROUNDS) -> Learned:
     """Learn a base from runs in which nothing is taken to be wrong.
 
     Args:
         scenes: one per run.
         on_round: told the number of each round that is done.
+        rounds: how many; one tells laws apart.
     """
     known_doubt = np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
     count = len(scenes)
@@ -99,14 +100,14 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _:
     fits: list[Found] = []
     parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
     linear: list[_Linear] = []
-    for number in range(1, ROUNDS + 1):
+    for number in range(1, rounds + 1):
         alone = base.of_single_runs()
         runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, parts, strict=True)]
         starts = fits or [Joint([one], alone).null() for one in runs]
         iterations = 12 if number == 1 else 5
         fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
         fits = _from_the_middle(runs, alone, fits)
-        base = _population(_near(fits) if number < ROUNDS else fits, known_doubt, base)
+        base = _population(_near(fits) if number < rounds else fits, known_doubt, base)
         parts = [
             chance.covariances(scene, scene.answers(fit.traits[0], Change()))
             for scene, fit in zip(scenes, fits, strict=True)

@@ -187,7 +187,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (18,)."""
+        """The simulator's own terms with what is changed besides, shape (19,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -237,7 +237,7 @@ class Scene:
         return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
 
     def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 18) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 19) and light (steps, lanes, 2) of changes."""
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])

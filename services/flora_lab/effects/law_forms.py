@@ -3,7 +3,7 @@
 How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
 in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
 what else would look like an effect. Small differences are taken for errors of the law (:data:`FORMS`); which of two
-laws it is where they differ much (:data:`SIDE_ALONE`) is chosen as a whole.
+laws it is where they differ much (:data:`SIDE_ALONE`, :data:`EVEN_LIGHT`) is chosen as a whole.
 """
 
 from __future__ import annotations
@@ -37,6 +37,13 @@ SIDE_ALONE: Final = _form(
     1.0,
     "0: the sine of the angle between light and stem (Bastien et al. 2015); 1: a stimulus to one side",
 )
+EVEN_LIGHT: Final = _form(
+    "even_light",
+    "Light is everywhere as it is at the foot of the stem",
+    terms.EVEN_LIGHT,
+    1.0,
+    "0: lamps where they hang; 1: lamps far away, or a plant that turns all of it up or down",
+)
 FORMS: Final = (
     _form(
         "brightness_more",
@@ -69,4 +76,4 @@ FORMS: Final = (
     NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""
-BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE)}
+BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT)}

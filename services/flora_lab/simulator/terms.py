@@ -16,7 +16,7 @@ step:
 - the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once, and the
   stem feels that bend as any other;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
-  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``;
+  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
   not at all up to that of 6.5 cm.
 """
@@ -41,11 +41,11 @@ Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
-BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE = range(11, 18)
+BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE, EVEN_LIGHT = range(11, 19)
 """Columns of the terms."""
-TERMS: Final = 18
+TERMS: Final = 19
 NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 5)])
-"""Values at which nothing is changed, shape (18,)."""
+"""Values at which nothing is changed, shape (19,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -141,7 +141,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (18,).
+        t: the terms, shape (19,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
@@ -171,7 +171,7 @@ def extended_step_lane(
         t[SIDEWAYS],
         growth * factor,
         activity,
-        Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE], t[SIDE_ALONE]),
+        Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE], t[SIDE_ALONE], t[EVEN_LIGHT]),
         dt_h,
     )
     # A step in which segments were split has no elastic part: joints before and after it are others.
@@ -290,7 +290,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (18,).
+        terms: shape (19,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -347,7 +347,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 18).
+            terms: shape (batch, 19).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """

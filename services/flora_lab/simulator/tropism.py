@@ -73,6 +73,7 @@ class Form(NamedTuple):
             between both rates.
         side_alone: share of a pull that is the same whatever way the stem points: which side the light comes from
             counts, not how steeply it falls on the stem.
+        even_light: share of the light that is everywhere as it is at the anchor, as if lamps were far away.
     """
 
     brightness_more: float
@@ -80,9 +81,10 @@ class Form(NamedTuple):
     edge_more: float
     spurt_more: float
     side_alone: float
+    even_light: float
 
 
-AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0, 0.0)
+AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -116,8 +118,9 @@ def _light_across(
     lamps_cm: Array,
 ) -> float:
     """S * l_n at a place, for the levels that act; each lamp's part of it times its pull."""
-    up = lamps_cm[1] - y
-    to_left, to_right = -lamps_cm[0] - x, lamps_cm[0] - x
+    near = 1.0 - form.even_light
+    up = lamps_cm[1] - near * y
+    to_left, to_right = -lamps_cm[0] - near * x, lamps_cm[0] - near * x
     left_2 = max(to_left * to_left + up * up, _NEAREST_CM**2)
     right_2 = max(to_right * to_right + up * up, _NEAREST_CM**2)
     left_3, right_3 = left_2 * np.sqrt(left_2), right_2 * np.sqrt(right_2)
