@@ -28,6 +28,8 @@ _DOUBT: Final = 8.0
 FORM: Final = 0.03
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form."""
+OF_A_SWING: Final = 0.002
+"""The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
 BETTER: Final = 4.0
@@ -170,8 +172,8 @@ class Explainer:
 
     def _needed(self, accepted: Sequence[Accepted]) -> float:
         """Nats that one cause more must have."""
-        of_form = [one.tried.gain for one in accepted if one.tried.swing is None and one.tried.effect.where == "plant"]
-        return self.claim + FORM * sum(of_form)
+        plants = [one.tried for one in accepted if one.tried.effect.where == "plant"]
+        return self.claim + sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in plants)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""

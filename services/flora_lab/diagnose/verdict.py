@@ -12,7 +12,7 @@ import scipy.special
 import scipy.stats
 
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
-from flora_lab.diagnose.explain import CLAIM, SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.explain import SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
@@ -32,9 +32,6 @@ RELATED: Final = 8.0
 INSEPARABLE: Final = 12.0
 """The same for causes that they can never tell apart: what is between them is the shape of a prior."""
 _EXACTLY: Final = 0.6
-_PARTLY: Final = 0.15
-"""Share of the best one's evidence from which one that looks like it in most light is told beside it: which of them
-explains all of it may hang on the form of the law."""
 NOTHING_FIRST: Final = 3.0
 """How many times more probable no cause is than any certain one, before any data."""
 WIDER: Final = 1.3
@@ -209,9 +206,7 @@ def _alike(stage: Stage) -> list[Tried]:
     out = []
     for other in stage.tried[1:]:
         behind = best.gain - other.gain
-        same = is_same(best.effect, other.effect)
-        near = other.gain > 0.0 and behind < (RELATED if same else ALIKE)
-        near = near or (same and other.gain > max(CLAIM, _PARTLY * best.gain))
+        near = other.gain > 0.0 and behind < (RELATED if is_same(best.effect, other.effect) else ALIKE)
         if near or (other.effect.name in best.effect.exactly and _is_as_good(best, other)):
             out.append(other)
     return out
