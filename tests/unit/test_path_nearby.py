@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path import nearby
+from flora_common.vision.path.chain import Before
+from flora_common.vision.path.curve import Sampler
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.picture import Picture, decode_picture
 from flora_common.vision.reading import OK, StemReading
@@ -112,6 +116,35 @@ def test_a_plant_that_is_gone_is_not_told_to_be_there() -> None:
     one = followed(4)
     reading = one.read(board(4), 1200.0)
     assert (reading.outcome, reading.points_cm) == ("no_stem", None)
+
+
+@pytest.mark.parametrize(
+    ("shown", "elsewhere_cm", "only_plain", "there"),
+    [
+        (growing(4), (5.0, 6.0), True, True),
+        (growing(4), (5.0, 6.0), False, True),
+        (growing(4), (2.5, 9.0), True, False),
+        (growing(4), (2.5, 9.0), False, True),
+        (leaning(4.0), (5.0, 6.0), False, False),
+        (growing(4)[:45], (5.0, 6.0), False, False),
+    ],
+)
+def test_a_stem_is_held_to_where_it_is_still_to_be_seen(
+    shown: FloatArray, elsewhere_cm: tuple[float, float], only_plain: bool, there: bool
+) -> None:
+    one = followed(4)
+    assert one.memory is not None
+    assert one.memory.near is not None
+    before = Before(np.array(one.memory.line_px), 0.9)
+    sampler = Sampler(one.look(drawn(board(4), shown)).evidence)
+    stem, _ = nearby.found(before.line_px, one.memory.near, sampler, SCALE, before)
+    end = np.array(ANCHOR) + np.array(elsewhere_cm) * [SCALE, -SCALE]
+    other = replace(stem, line=np.concatenate([stem.line, end[None]]))
+    seen = one.memory.seen
+    got = nearby.still_there(before, one.memory.near, seen, other, sampler, SCALE, only_plain=only_plain)
+    assert (got is not None) == there
+    plainer = replace(other, clean=np.ones(len(stem.clean) + 1, dtype=np.bool_))
+    assert nearby.still_there(before, one.memory.near, seen, plainer, sampler, SCALE, only_plain=True) is None
 
 
 @pytest.mark.parametrize("seed", [202, 204])

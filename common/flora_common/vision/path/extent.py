@@ -1,4 +1,4 @@
-"""How far a line goes: cut or carried on to a length, and points along it."""
+"""How far a line goes: cut or carried on to a length, in cm, and points along it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
+from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.curve import STEP_PX, Stem, arc_length
 from flora_common.vision.path.tip import Tip
@@ -43,6 +44,13 @@ def as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
     return Stem(
         line, deviation, seen, stem.clean[pick] & seen, stem.width[pick], stem.across[pick], float(arc_length(line)[-1])
     )
+
+
+def in_cm(line_px: FloatArray, camera: CameraSection) -> FloatArray:
+    """A line (n, 2) of the picture in cm from the anchor, y up; its first point is the anchor."""
+    line = (line_px - np.array(camera.anchor_px)) * np.array([1.0, -1.0]) / camera.px_per_cm + 0.0
+    line[0] = 0.0
+    return np.asarray(line, dtype=np.float64)
 
 
 def by_arc(line_cm: FloatArray) -> FloatArray:

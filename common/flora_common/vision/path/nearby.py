@@ -44,6 +44,13 @@ SAME_CM: Final = 0.3
 """A tip as near as this is the same."""
 LESS_SEEN: Final = 0.1
 """Share of the stem by which less of it is seen than before, at most."""
+HELD_MOVED_CM: Final = 1.2
+"""A stem is held to, while the whole picture tells of another one, if its tip moved by less, and less than to the
+other's."""
+HELD_LESS_SEEN: Final = 0.2
+"""Share of it by which less of it is seen than before, at most."""
+LEAP_CM: Final = 2.5
+"""No tip moves so far from one picture to the next."""
 OTHER_PLANT: Final = 0.35
 """Share by which more or less of the picture looks like plant than in the last whole one, at most."""
 REACHES_IN_CM: Final = 1.0
@@ -148,3 +155,37 @@ def same_stem(stem: Stem, before: Before, seen_before: float, px_per_cm: float) 
     """Whether a stem is so like the one before that nothing else need be looked at."""
     moved_px = math.dist(stem.line[-1], before.line_px[-1])
     return moved_px < MOVED_CM * px_per_cm and float(stem.seen.mean()) > seen_before - LESS_SEEN
+
+
+def still_there(
+    before: Before,
+    near: Nearby,
+    seen_before: float,
+    other: Stem,
+    sampler: Sampler,
+    px_per_cm: float,
+    *,
+    only_plain: bool,
+) -> tuple[Stem, Tip] | None:
+    """The stem of the picture before and its tip, if it is still there, though the whole picture tells of another.
+
+    A line through a leaf may explain more of a picture than a stem that is as plain to see as it was.
+
+    Args:
+        before: the stem in the picture before.
+        near: what is known of it.
+        seen_before: share of it that was seen then.
+        other: what the whole picture tells of.
+        sampler: of the picture.
+        px_per_cm: scale.
+        only_plain: only if no stem can have moved to the other's end, and the other has fewer clean edges.
+    """
+    stem, tip = found(before.line_px, near, sampler, px_per_cm, before)
+    moved_px, leap_px = (math.dist(s.line[-1], before.line_px[-1]) for s in (stem, other))
+    plain = leap_px > LEAP_CM * px_per_cm and np.count_nonzero(stem.clean) >= np.count_nonzero(other.clean)
+    there = (
+        moved_px < min(HELD_MOVED_CM * px_per_cm, leap_px) and float(stem.seen.mean()) > seen_before - HELD_LESS_SEEN
+    )
+    if not there or (only_plain and not plain) or doubts.unsure_of_end(stem, sampler, px_per_cm, 0.0, 0.0):
+        return None
+    return stem, tip

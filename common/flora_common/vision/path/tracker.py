@@ -16,7 +16,7 @@ from flora_common.vision.path import curve, doubts, length, nearby, steady
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
 from flora_common.vision.path.evidence import Evidence, PlantFinder
-from flora_common.vision.path.extent import as_long_as, by_arc, uncertainty_mm
+from flora_common.vision.path.extent import as_long_as, by_arc, in_cm, uncertainty_mm
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.likeness import OF_FRAMES, OF_THE_FIRST, USUAL, Likeness, SetupLikeness
 from flora_common.vision.path.nearby import Nearby
@@ -74,7 +74,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         turn: belief on which way its end points.
         elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
         sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
-        near: what lets the next picture be looked at near the stem only; None where the whole must be.
+        near: what lets the next picture be looked at near the stem; None where nothing but the whole can tell.
     """
 
     line_px: list[tuple[float, float]]
@@ -98,12 +98,13 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A chain of pieces, where it ends, and the smooth line to there."""
+    """A chain of pieces, where it ends, and the smooth line to there; or, ``held``, the stem of the picture before."""
 
     chain: Chain
     tip: Tip
     reached: Stem
     sure_px: float
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,8 +247,10 @@ class PathTracker:
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
+        if elsewhere > STEPS_BELIEVED:
+            unsure = "another part of the plant has looked more like the stem for some time"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
-        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, near if clear else None)
+        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, near if clear or fit.held else None)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
@@ -286,10 +289,17 @@ class PathTracker:
         most_px = (STEP_CM + STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
         if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
             return fit, 0
-        if self.memory.elsewhere < STEPS_BELIEVED:
+        count, near, seen = self.memory.elsewhere, self.memory.near, self.memory.seen
+        late = count >= STEPS_BELIEVED
+        if near is not None:
+            scale = self.camera.px_per_cm
+            there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
+            if there is not None:
+                return _Fit(fit.chain, there[1], there[0], near.sure_px, held=True), count + 1
+        if not late:
             again = self._fitted(strands, sampler, replace(before, trust=HOLDING_TRUST))
             if not isinstance(again, str) and math.dist(again.reached.line[-1], before.line_px[-1]) <= most_px:
-                return again, self.memory.elsewhere + 1
+                return again, count + 1
         return fit, 0
 
     def _ends_as_before(self, chain: Chain) -> bool:
@@ -329,13 +339,11 @@ class PathTracker:
     ) -> tuple[StemReading, Memory | None]:
         """The reading, and what is remembered after it."""
         belief = state.length
-        line_cm = self._to_cm(stem.line)
-        line_cm[0] = 0.0
+        line_cm = in_cm(stem.line, self.camera)
         points = by_arc(line_cm) if self.settings.points == "arc" else resample_by_height(line_cm)
         tip_mm = 10.0 * math.sqrt(belief.length_var)
         uncertainty = uncertainty_mm(stem, line_cm, points, tip_mm, self.camera.px_per_cm)
         seen = float(stem.seen.mean())
-        end = (float(stem.line[-1, 0]), float(stem.line[-1, 1]))
         outcome, reason = self._judge(stem, seen, float(uncertainty[-1]), belief.time_s)
         if doubt and outcome in (OK, JUMPED):
             outcome, reason = OCCLUDED, doubt
@@ -347,7 +355,7 @@ class PathTracker:
             outcome,
             seen,
             points,
-            end,
+            (float(stem.line[-1, 0]), float(stem.line[-1, 1])),
             reason,
             uncertainty_mm=uncertainty,
             folded=folded,
@@ -377,20 +385,15 @@ class PathTracker:
         doubtful = self.memory is not None and (doubted or outcome == JUMPED or seen < LEAST_SEEN)
         count = self.memory.doubts + 1 if doubtful and self.memory is not None else 0
         if self.memory is not None and 0 < count < DOUBTS_BELIEVED:
-            return msgspec.structs.replace(self.memory, doubts=count, near=None)
-        kept = [*stem.line[:-1:LINE_KEPT_EVERY], stem.line[-1]]
+            return msgspec.structs.replace(self.memory, doubts=count)
         # of a new place the length is known, but not what the old one's history says of it
         belief = state.length
         if count:
             belief = LengthState(belief.time_s, state.measured_cm)
-        line = [(float(x), float(y)) for x, y in kept]
-        near = state.near if outcome == OK else None
+        line = [(float(x), float(y)) for x, y in (*stem.line[:-1:LINE_KEPT_EVERY], stem.line[-1])]
+        near = state.near if outcome == OK or state.elsewhere else None
         return Memory(line, belief, seen, turn=state.turn, elsewhere=state.elsewhere, sure=state.sure, near=near)
 
     def _at_edge(self, tip: FloatArray) -> bool:
         x0, y0, x1, _ = self.settings.window_px or (0.0, 0.0, self.camera.width_px - 1.0, 0.0)
         return bool(tip[0] <= x0 + 2 or tip[0] >= x1 - 2 or tip[1] <= y0 + 2)
-
-    def _to_cm(self, line_px: FloatArray) -> FloatArray:
-        off = line_px - np.array(self.camera.anchor_px)
-        return np.asarray(off * np.array([1.0, -1.0]) / self.camera.px_per_cm + 0.0, dtype=np.float64)
