@@ -28,6 +28,8 @@ _DOUBT: Final = 8.0
 FORM: Final = 0.03
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form."""
+_MOST_OF_FORM: Final = 20.0
+"""Nats that this comes to at most."""
 OF_A_SWING: Final = 0.002
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
@@ -165,6 +167,10 @@ class Explainer:
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
                 self._answer(found)
+                if swing is not None and self._swing(found).gain < self.claim:
+                    # What seemed to swing was this cause.
+                    swing = None
+                    accepted[:] = [one for one in accepted if one.tried.swing is None]
                 joint = self._joint(swing)
                 found = joint.fit(_started(found), 12)
         beside = self._beside(stages[-1], accepted)
@@ -173,7 +179,8 @@ class Explainer:
     def _needed(self, accepted: Sequence[Accepted]) -> float:
         """Nats that one cause more must have."""
         plants = [one.tried for one in accepted if one.tried.effect.where == "plant"]
-        return self.claim + sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in plants)
+        wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in plants)
+        return self.claim + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""

@@ -73,8 +73,9 @@ class Ready:
     inverse_root: Array
 
     def white(self, values: Array) -> Array:
-        """Values (m + 2,) or (m + 2, k) in units of chance."""
-        return np.asarray(self.inverse_root @ values)
+        """Values (m + 2,) or (m + 2, k) in units of chance; of plants that cannot be they are not finite."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.asarray(self.inverse_root @ values)
 
 
 def ready(
