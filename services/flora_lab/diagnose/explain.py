@@ -225,7 +225,21 @@ class Explainer:
             place = 0 if own.gain > slow else 1
             if own.gain > 0.0:
                 tried.insert(place, own)
-        return Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
+        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
+        is_first = swing is None and not before.hypothesis.causes
+        return self._again(joint, found) if is_first and found.has_no_name(self.nameless) else found
+
+    @staticmethod
+    def _again(joint: Joint, stage: Stage) -> Stage:
+        """Causes that were not fitted, or lost their way, from typical plants, before it is said that none is it."""
+        tried = []
+        for one in stage.tried:
+            # What is nothing at no strength can explain no less than nothing.
+            is_lost = one.found is not None and one.found.misfit > stage.before.misfit + 1.0
+            other = search.from_typical(joint, stage.before, one.effect) if is_lost else None
+            gain = evidence_for_last(stage.before, other) if other is not None else -np.inf
+            tried.append(Tried(one.effect, gain, other) if gain > one.gain else one)
+        return replace(stage, tried=tuple(sorted(tried, key=lambda t: -t.gain)))
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose.hypothesis import Cause
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.effects.effect import Effect, Parameter
 
@@ -53,6 +53,30 @@ def best_start(joint: Joint, before: Found, cause: Cause) -> Found:
     """Where the best of a cause's starts leads, where all is taken for linear."""
     looks = [joint.screened(before, cause, start) for start in _starts(cause.parameters)]
     return max(looks, key=lambda found: found.evidence)
+
+
+def from_typical(joint: Joint, before: Found, effect: Effect) -> Found | None:
+    """The best form of an effect that is there at its starts, if all plants are typical to begin with.
+
+    What is very wrong with the runs was laid upon their plants before; from there a strong cause may not be found. None
+    where the effect tells no start.
+    """
+    typical = joint.null()
+    fits = [
+        joint.fit(
+            Found(
+                Hypothesis((*before.hypothesis.causes, cause)),
+                np.concatenate([before.coordinates, start]),
+                typical.traits.copy(),
+                typical.start.copy(),
+            ),
+            _STEPS,
+        )
+        for cause in forms_of(effect)
+        for start in _starts(cause.parameters)
+        if any(p.starts for p in cause.parameters)
+    ]
+    return max(fits, key=lambda found: found.evidence, default=None)
 
 
 def forms_of(effect: Effect) -> Iterator[Cause]:
