@@ -58,7 +58,14 @@ class Knowledge:
 
 def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
     """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
-    law, scenes, best = _under_the_best(scenes, on_round)
+    rounds = itertools.count(1)
+
+    def told(_: int) -> None:
+        on_round(next(rounds))
+
+    law = law_of(scenes, told)
+    scenes = _under(law, scenes)
+    best = learn.learned(scenes, told)
     base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
@@ -78,27 +85,20 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
 
 
-def _under_the_best(
-    scenes: Sequence[Scene], on_round: Callable[[int], None]
-) -> tuple[tuple[Extension, ...], list[Scene], learn.Learned]:
-    """The law, the runs under it, and what they tell."""
-    rounds = itertools.count(1)
-
-    def told(_: int) -> None:
-        on_round(next(rounds))
-
-    def under(law: tuple[Extension, ...]) -> list[Scene]:
-        return [scene.under(change_of(law, "law")) for scene in scenes]
-
+def law_of(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> tuple[Extension, ...]:
+    """The forms of the law that plants are under, by what one round of learning makes of their runs."""
     law: tuple[Extension, ...] = ()
-    most = learn.learned(scenes, told, 1).evidence
+    most = learn.learned(scenes, on_round, 1).evidence
     for form in _LAWS:
         other = (*law, Extension(form.name, {"amount": 1.0}))
-        evidence = learn.learned(under(other), told, 1).evidence
+        evidence = learn.learned(_under(other, scenes), on_round, 1).evidence
         if evidence > most + _RATHER:
             law, most = other, evidence
-    chosen = under(law)
-    return law, chosen, learn.learned(chosen, told)
+    return law
+
+
+def _under(law: Sequence[Extension], scenes: Sequence[Scene]) -> list[Scene]:
+    return [scene.under(change_of(law, "law")) for scene in scenes]
 
 
 def _on(run: Ready, alone: Base, fit: Found) -> Found:
