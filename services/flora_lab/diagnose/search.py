@@ -61,6 +61,8 @@ def from_typical(joint: Joint, before: Found, effect: Effect) -> Found | None:
     What is very wrong with the runs was laid upon their plants before; from there a strong cause may not be found. None
     where the effect tells no start.
     """
+    if not any(p.starts for p in effect.parameters):
+        return None
     typical = joint.null()
     fits = [
         joint.fit(
@@ -74,9 +76,8 @@ def from_typical(joint: Joint, before: Found, effect: Effect) -> Found | None:
         )
         for cause in forms_of(effect)
         for start in _starts(cause.parameters)
-        if any(p.starts for p in cause.parameters)
     ]
-    return max(fits, key=lambda found: found.evidence, default=None)
+    return max(fits, key=lambda found: found.evidence)
 
 
 def forms_of(effect: Effect) -> Iterator[Cause]:

@@ -58,7 +58,7 @@ def noise_of(sizes: Array) -> DriveNoise:
     by_drive: dict[str, list[tuple[float, float]]] = {}
     named = chance.as_dict(sizes)
     for part in chance.PARTS:
-        if part.period_h == 0.0 and part.first_h == 0.0 and part.memory_h < 1e5:
+        if part.period_h == 0.0 and part.memory_h < 1e5:
             drive = "measure" if part.drive in chance.MEASURED else part.drive
             by_drive.setdefault(drive, []).append((named[part.name], part.memory_h))
 
