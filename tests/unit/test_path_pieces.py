@@ -169,3 +169,18 @@ def test_under_a_bud_the_stem_goes_straight_on() -> None:
     assert np.abs(tip.places[:, 0] - 150.0).max() < 2.5
     assert tip.places[-1, 1] < 160.0
     assert len(tip.onwards) > 5
+
+
+def test_among_young_leaves_the_tip_of_a_stem_that_was_followed_changes_less_from_picture_to_picture() -> None:
+    line, rng = straight(0.0, 200.0), np.random.default_rng(5)
+    leaves = [ellipse((150 + 8 * k, 140), (8, 26), 14.0 * k) for k in (-1, 1)]
+    # where the stem was counts for nothing: only how its end is chosen differs
+    before, alone, followed = Before(line, 0.0), [], []
+    for _ in range(30):
+        noise = cv2.GaussianBlur(rng.normal(0.0, 120.0, (HEIGHT, WIDTH)), (0, 0), 2.0)
+        evidence = evidence_of(tube(line, 5.0), *leaves, tone=np.clip(120.0 + noise, 0, 255))
+        stem, sampler = stem_of(evidence_of(tube(line, 5.0))), Sampler(evidence)
+        for ends, given in ((alone, None), (followed, before)):
+            ends.append(find_tip(stem, sampler, SCALE, given).places[-1])
+    assert np.std(followed, axis=0).max() < 0.4 * np.std(alone, axis=0).max()
+    assert np.abs(np.mean(followed, axis=0)[0] - 150.0) < 1.5

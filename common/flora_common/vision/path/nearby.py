@@ -24,7 +24,7 @@ from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.survey import ByteArray, Survey
 from flora_common.vision.path.tip import Tip, find_tip
 
-MOST_LOOKS: Final = 5
+MOST_LOOKS: Final = 3
 """Pictures in a row of which only a part is looked at."""
 LONGEST_S: Final = 1200.0
 """A stem that was seen longer ago may be anywhere."""
@@ -44,6 +44,8 @@ SAME_CM: Final = 0.3
 """A tip as near as this is the same."""
 LESS_SEEN: Final = 0.1
 """Share of the stem by which less of it is seen than before, at most."""
+STEP_CM, STEP_SHARE = 0.2, 0.25
+"""A tip that moved by more than the first, and this share of the fastest growth, is likely another thing."""
 HELD_MOVED_CM: Final = 1.2
 """A stem is held to, while the whole picture tells of another one, if its tip moved by less, and less than to the
 other's."""
@@ -84,6 +86,22 @@ def after(stem: Stem, sure_px: float, evidence: Evidence) -> Nearby:
     width = float(stem.width[0]), float(stem.width[-1])
     bends_from = stem.bends_from if math.isfinite(stem.bends_from) else None
     return Nearby(evidence.lamps, evidence.noise, evidence.plant_pixels, width, sure_px, bends_from)
+
+
+def since_clear(near: Nearby | None, stem: Stem, before: Before | None, px_per_cm: float) -> Nearby | None:
+    """What is still known of a stem after a picture in which it is not clear which part of the plant that is.
+
+    If it ends where it did, it can be held to; but whole pictures are looked at until one is clear again.
+
+    Args:
+        near: what the last clear picture told; None if there was none since the stem was last lost.
+        stem: as found now.
+        before: the stem in the picture before, if it is believed.
+        px_per_cm: scale.
+    """
+    if near is None or before is None or math.dist(stem.line[-1], before.line_px[-1]) > STEP_CM * px_per_cm:
+        return None
+    return msgspec.structs.replace(near, looks=MOST_LOOKS)
 
 
 def enough(near: Nearby, line_px: FloatArray, survey: Survey, part: tuple[slice, slice], px_per_cm: float) -> bool:

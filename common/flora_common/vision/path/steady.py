@@ -19,7 +19,7 @@ from flora_common.vision.path.curve import arc_length
 
 SECTION_CM: Final = 1.8
 DRIFT_RAD_PER_ROOT_H: Final = 0.12
-SURE_CM, UNSURE_PER_CM = 0.02, 0.06
+SURE_CM, UNSURE_PER_CM = 0.02, 0.04
 """Standard deviation of the tip across the stem: at least the first, and more by the second for every cm of which the
 stem was carried on without being measured."""
 SURPRISE: Final = 3.0

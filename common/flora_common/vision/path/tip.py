@@ -2,7 +2,8 @@
 
 Thinning stops half a width short of an end, and bends towards the young leaves round an apex. So the stem is continued
 from the last place with two clean edges by circular arcs of every plausible bend; along each, what looks like stem is
-added up and what does not is taken away. The best arc, cut where its sum is largest, ends at the tip.
+added up and what does not is taken away. The best arc, cut where its sum is largest, ends at the tip; where the stem
+was followed so far, the mean of the best ones does.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from flora_common.vision.path.curve import STEP_PX, BoolArray, Sampler, Stem, ar
 from flora_common.vision.path.trace import traced
 
 GLANCE, LOOKED_AT = 4, 9
-"""One step in so many is enough to tell the so many best of the arcs."""
+"""One step in so many is enough to tell how good an arc is; without a picture before, so many are then tried."""
 LONGEST_CM: Final = 2.5
 BENDS_PER_CM: Final = np.linspace(-0.5, 0.5, 15)
 TURNS_RAD: Final = np.linspace(-0.15, 0.15, 7)
@@ -50,8 +51,10 @@ BEND_COST_CM: Final = 1.5
 """For the sharpest change of bend: where nothing tells them apart, the straighter arc is right."""
 STRAIGHT_FREE_CM: Final = 0.3
 """Among leaves, by so much must another arc be better than the one that just goes on."""
+ALIKE_CM: Final = 0.15
+"""Arcs that are worth less than the best by this count a third of it: so little says nothing of which is right."""
 HOOK_RAD: Final = 0.45
-MOVE_COST: Final = 0.6
+MOVE_COST: Final = 0.3
 """Per cm from where the tip was before, up to 1 cm."""
 CLEAR_RIDGE: Final = 12.0
 END_LEVEL: Final = 0.65
@@ -110,26 +113,26 @@ def find_tip(
     bend = float(np.clip(bend, grid[0].min(), grid[0].max()))
     bends, turns = (np.append(own, v.ravel()) for own, v in zip((0.5 * bend, 0.0), grid, strict=True))
     angle = heading + turns[:, None] + bends[:, None] * steps[None, :]
+    effort = np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]
+    against = BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
+    arcs, side = _places(stem.line[safe], angle)
+    if before is not None:
+        against += before.trust * _moved_cost(arcs, before, px_per_cm)
+    level = float(np.median(sampler.plant(stem.line[None, max(0, safe - 20) : safe + 1])))
+    # a few steps tell how good an arc is
+    glance = slice(GLANCE - 1, None, GLANCE)
+    gain, _ = _gain(arcs[:, glance], side[:, glance], width, level, sampler)
+    worth = (np.cumsum(GLANCE * STEP * gain / px_per_cm, axis=1) - against[:, glance]).max(axis=1)
+    shares = _one_by_one(worth) if before is None else _as_one(worth)
+    angle, against = shares @ angle, shares @ against
     # and the line itself where it turns more than an arc can: a hook
     line = _along(stem.line[safe:], s[safe:] - s[safe], steps)
     if line is not None and np.ptp(line) > HOOK_RAD:
         angle = np.concatenate([angle, line[None]])
-        bends, turns = np.append(bends, bend), np.append(turns, 0.0)
-    arcs = stem.line[safe] + np.cumsum(STEP * np.stack([np.cos(angle), np.sin(angle)], axis=-1), axis=1)
-    side = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    level = float(np.median(sampler.plant(stem.line[None, max(0, safe - 20) : safe + 1])))
-    effort = np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]
-    against = BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
-    if before is not None:
-        away_cm = np.hypot(arcs[..., 0] - before.line_px[-1, 0], arcs[..., 1] - before.line_px[-1, 1]) / px_per_cm
-        against += before.trust * MOVE_COST * np.minimum(away_cm, 1.0)
-    # a few steps tell which arcs are good, and all of them where these end
-    glance = slice(GLANCE - 1, None, GLANCE)
-    gain, _ = _gain(arcs[:, glance], side[:, glance], width, level, sampler)
-    worth = (np.cumsum(GLANCE * STEP * gain / px_per_cm, axis=1) - against[:, glance]).max(axis=1)
-    worth[0] = np.inf
-    best = np.sort(np.argsort(-worth)[:LOOKED_AT])
-    arcs, side, against = arcs[best], side[best], against[best]
+        against = np.concatenate([against, np.zeros((1, len(steps)))])
+        if before is not None:
+            against[-1] += before.trust * _moved_cost(_places(stem.line[safe], line[None])[0], before, px_per_cm)[0]
+    arcs, side = _places(stem.line[safe], angle)
     gain, plant = _gain(arcs, side, width, level, sampler)
     there = plant > END_LEVEL * level
     worth = np.cumsum(STEP * gain / px_per_cm, axis=1) - against
@@ -148,6 +151,34 @@ def find_tip(
         end, error, open_end = end + more, error + 0.4 * more * STEP, True
     places = np.concatenate([arcs[arc, : end + 1], _just_beyond(arcs[arc], plant[arc], end, END_LEVEL * level)])
     return Tip(safe, places, arcs[arc, end + 1 :], open_end, error)
+
+
+def _one_by_one(worth: FloatArray) -> FloatArray:
+    """Shares of all arcs in those that are tried to their ends, shape (k, n): the first and the best by themselves."""
+    first = np.arange(len(worth)) == 0
+    return np.eye(len(worth))[np.sort(np.argsort(-np.where(first, np.inf, worth))[:LOOKED_AT])]
+
+
+def _as_one(worth: FloatArray) -> FloatArray:
+    """The same, shape (1, n): their mean, by worth.
+
+    Which of those that are nearly as good as the best is best is chance; their mean changes less between two pictures.
+    """
+    favoured = worth + STRAIGHT_FREE_CM * (np.arange(len(worth)) == 0)
+    share = np.exp((favoured - favoured.max()) / ALIKE_CM)
+    return np.asarray(share[None] / share.sum(), dtype=np.float64)
+
+
+def _places(start: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places in steps from a start with given directions (rad), and the unit vectors across these."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return start + np.cumsum(STEP * np.stack([cos, sin], axis=-1), axis=1), np.stack([-sin, cos], axis=-1)
+
+
+def _moved_cost(arcs: FloatArray, before: Before, px_per_cm: float) -> FloatArray:
+    """What each place costs as an end, for how far it is from the tip before."""
+    off = arcs - before.line_px[-1]
+    return np.asarray(MOVE_COST * np.minimum(np.hypot(off[..., 0], off[..., 1]) / px_per_cm, 1.0), dtype=np.float64)
 
 
 def _just_beyond(arc: FloatArray, plant: FloatArray, end: int, least: float) -> FloatArray:

@@ -53,8 +53,6 @@ FORGETS_S: Final = 900.0
 """Where the stem was counts half after this time."""
 FOLD_CM: Final = 0.15
 DOUBTS_BELIEVED: Final = 3
-STEP_CM, STEP_SHARE = 0.5, 0.25
-"""A tip that moved by more than the first, and this share of the fastest growth, is likely another thing."""
 STEPS_BELIEVED: Final = 4
 """After so many pictures in a row that say so it is the stem all the same."""
 HOLDS_FROM, HOLDING_TRUST = 0.4, 4.0
@@ -74,7 +72,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         turn: belief on which way its end points.
         elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
         sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
-        near: what lets the next picture be looked at near the stem; None where nothing but the whole can tell.
+        near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
     """
 
     line_px: list[tuple[float, float]]
@@ -250,7 +248,9 @@ class PathTracker:
         if elsewhere > STEPS_BELIEVED:
             unsure = "another part of the plant has looked more like the stem for some time"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
-        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, near if clear or fit.held else None)
+        known = self.memory.near if self.memory is not None else None
+        kept = near if clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
+        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, kept)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
@@ -286,7 +286,7 @@ class PathTracker:
         if self.memory is None or before is None or before.trust < HOLDS_FROM:
             return fit, 0
         hours = max(0.0, time_s - self.memory.length.time_s) / 3600.0
-        most_px = (STEP_CM + STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
+        most_px = (nearby.STEP_CM + nearby.STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
         if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
             return fit, 0
         count, near, seen = self.memory.elsewhere, self.memory.near, self.memory.seen
