@@ -115,6 +115,9 @@ def test_what_was_hidden_is_found(diagnosed: Path, runs: Path) -> None:
     assert free["extended"] < free["base"]
     assert "2 runs" in found.gain.judged_on
     assert found.summary.startswith("Steady push to a side")
+    assert max(found.considered[0], key=found.considered[0].__getitem__) == "draught"
+    assert found.considered[0]["draught"] == cause.nats > found.needed_nats > 0.0
+    assert max(found.considered[-1].values()) < found.needed_nats
 
 
 def test_the_report_needs_nothing_else(diagnosed: Path) -> None:

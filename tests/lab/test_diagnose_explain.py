@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
-from flora_lab.diagnose import search
+from flora_lab.diagnose import explain, search
 from flora_lab.diagnose.explain import CLAIM, MOST_CAUSES, Explainer, Explanation
+from flora_lab.diagnose.joint import evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.effects.effect import Effect
 from flora_lab.threads import one_blas_thread
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -183,3 +186,30 @@ def test_every_form_and_every_start_is_looked_at() -> None:
     assert {float(start[1]) for start in starts} == {3.0, 9.0, 15.0, 21.0}
     hours = {round(float(np.exp(start[0])), 6) for start in search._starts(BY_NAME["adaptation"].parameters)}
     assert hours == {0.8, 1.6, 3.2}
+
+
+def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = ("phototropic_latency", "clock_offset")
+    assert names(explained("slow")) == (late[0],)
+    less = [replace(e, parameters=(replace(e.parameters[0], least=1.0),)) if e.name in late else e for e in CATALOGUE]
+    monkeypatch.setattr(explain, "CATALOGUE", tuple(less))
+    with one_blas_thread():
+        explanation = Explainer(scenes_of((80, 81), SLOW), known()).explain()
+    tried = {one.effect.name: one for one in explanation.stages[0].tried}
+    for name in late:
+        fit = tried[name].found
+        assert fit is not None
+        assert evidence_for_last(explanation.stages[0].before, fit) > CLAIM
+        assert tried[name].gain <= 0.0
+    assert not set(names(explanation)) & set(late)
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_what_is_worth_a_name_is_less_than_what_is_looked_for(effect: Effect) -> None:
+    for p in effect.parameters:
+        assert all(p.is_worth_a_name(value) for value in p.starts)
+        assert p.is_worth_a_name(p.high)
+        if p.least:
+            assert p.none is not None
+            assert not p.is_worth_a_name(p.none)
+            assert 0.0 < p.least < 0.5 * max(abs(value - p.none) for value in p.starts)

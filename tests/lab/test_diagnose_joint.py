@@ -12,8 +12,8 @@ from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.chance import MEASURED, PARTS
 from flora_lab.diagnose.explain import CLAIM
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
-from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
-from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.scene import START_SD, Scene
 from flora_lab.diagnose.usual_errors import strength_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change

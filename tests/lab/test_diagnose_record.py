@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose_runs import STEP_S, change_of, run_of
+from diagnose_runs import STEP_S, change_of, run_of, turns
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -96,6 +96,17 @@ def test_a_swinging_tip_is_not_cut(period_h: float) -> None:
     clean, notes = cleaned(run)
     assert clean is run
     assert notes == []
+
+
+@pytest.mark.parametrize("turns_h", [0.75, 1.5])
+def test_a_tip_that_was_found_wrongly_is_left_out_however_fast_the_stem_swings(turns_h: float) -> None:
+    run = run_of(6, light=turns(24.0, turns_h))
+    rows = [50, 73, 120, 121, 200, 260]
+    points = run.points_cm.copy()
+    points[rows, -1, 0] += np.array([1.0, -1.2, 1.5, 1.5, -2.0, 1.1])
+    clean, notes = cleaned(replace(run, points_cm=points))
+    assert hidden(run, clean) == rows
+    assert notes[0].startswith("plant6: 6 stems lay")
 
 
 def test_the_first_and_the_last_stem_stay() -> None:

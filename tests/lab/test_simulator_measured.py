@@ -70,12 +70,17 @@ def test_a_track_without_a_fault_is_taken_as_it_is() -> None:
     assert run.is_measured.tolist() == [True] * 4
 
 
-def test_gaps_are_empty_rows_and_the_lamp_before_them_stays_on() -> None:
+def test_gaps_are_empty_rows_and_lamps_are_taken_to_change_in_their_middle() -> None:
     run = in_steps(a_run([0, 300, 1200, 1500, 2400], ["dark", "left", "right", "both", "left"]))
     assert rows_of(run) == [0, 1, None, None, 2, 3, None, None, 4]
     assert run.is_measured.tolist() == [True, True, False, False, True, True, False, False, True]
     assert np.isnan(run.points_cm[2:4]).all()
-    assert lamps_of(run) == ["left", "left", "left", "right", "both", "both", "both", "left"]
+    assert lamps_of(run) == ["left", "left", "right", "right", "both", "both", "left", "left"]
+    assert [(gap.start, gap.stop, gap.changes) for gap in run.unseen] == [(1, 3, True), (5, 7, True)]
+    assert run.unseen[0].before.tolist() == list(LEVELS["left"])
+    assert run.unseen[0].after.tolist() == list(LEVELS["right"])
+    mirrored = run.mirrored().unseen[0]
+    assert (mirrored.before.tolist(), mirrored.after.tolist()) == (list(LEVELS["right"]), list(LEVELS["left"]))
     assert run.time_s.tolist() == (STEP_S * np.arange(9)).tolist()
 
 
@@ -90,7 +95,7 @@ def test_what_lies_between_two_places_is_left_out_with_its_light() -> None:
     times_s = [0, 300, 450, 600 + near_s - 1, 900 + near_s + 1, 1500]
     run = in_steps(a_run(times_s, ["dark", "left", "right", "dark", "left", "both"]))
     assert rows_of(run) == [0, 1, 3, None, None, 5]
-    assert lamps_of(run) == ["left", "dark", "dark", "dark", "both"]
+    assert lamps_of(run) == ["left", "dark", "dark", "both", "both"]
 
 
 def test_of_photographs_taken_twice_one_counts() -> None:
@@ -141,7 +146,7 @@ def test_points_that_no_stem_has_are_refused_with_their_row() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_whatever_is_missing_and_however_the_beat_strays(data: st.DataObject) -> None:
-    """Each row that is near its beat is found there; each step's lamp is that of the last row up to its end."""
+    """Each row that is near its beat is found there; each step's lamp is that of the nearer row, counted in steps."""
     count = data.draw(st.integers(3, 30))
     kept = [0, 1, *sorted(data.draw(st.sets(st.integers(2, count), max_size=count)))]
     strays = [0.0, *(data.draw(st.floats(-0.34, 0.34)) for _ in kept[1:])]
@@ -150,7 +155,10 @@ def test_whatever_is_missing_and_however_the_beat_strays(data: st.DataObject) ->
     assert len(run) == kept[-1] + 1
     assert rows_of(run) == [kept.index(k) if k in kept else None for k in range(len(run))]
     for step, lamp in enumerate(lamps_of(run)):
-        assert lamp == lights[max(i for i, k in enumerate(kept) if k <= step + 1)]
+        after = next(i for i, k in enumerate(kept) if k > step)
+        before, end = kept[after - 1], kept[after]
+        is_told = step + 1 == end
+        assert lamp == lights[after if is_told or 2 * step >= before + end - 1 else after - 1]
 
 
 def test_mirrored_is_the_other_side_and_twice_mirrored_the_same() -> None:

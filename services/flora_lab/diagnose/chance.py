@@ -32,7 +32,8 @@ class Part:
 
     Attributes:
         name: with the unit of its size.
-        drive: ``bias``, ``gradient``, ``growth`` or ``gain`` of the law, or one of :data:`MEASURED`.
+        drive: ``bias``, ``gradient``, ``growth`` or ``gain`` of the law, or one of :data:`MEASURED`, or
+            :data:`GAPS`: what is not known of gaps in the record.
         memory_h: its correlation time; 0 for what is new with each feature.
         typical: size that it is expected to have, its standard deviation.
         doubt: standard deviation of the logarithm of that.
@@ -52,6 +53,7 @@ class Part:
     least: float = 0.0
 
 
+GAPS: Final = "gaps"
 PARTS: Final = (
     Part("wander_fast_per_cm_h", "bias", 1.5, 0.01),
     Part("wander_per_cm_h", "bias", 5.0, 0.015),
@@ -72,6 +74,8 @@ PARTS: Final = (
     Part("lean_cm", "lean", 2.0, 0.02),
     Part("lean_slow_cm", "lean", 12.0, 0.01),
     Part("bow_cm", "bow", 2.0, 0.02),
+    # What is not known of gaps is known in size.
+    Part("gaps", GAPS, 0.0, 1.0, 0.01, least=1.0),
 )
 MEASURED: Final = ("measure", "lean", "bow")
 """Errors of the measurement: of each point by itself, or of the stem as a whole, that leans or is bent too much."""
@@ -84,12 +88,12 @@ _MOST: Final = 20.0
 
 
 def sizes_expected() -> Array:
-    """Shape (18,)."""
+    """Shape (19,)."""
     return np.array([part.typical for part in PARTS])
 
 
 def covariances(scene: Scene, answers: Answers) -> Array:
-    """What each part would give in a run if its size were 1, shape (18, m, m)."""
+    """What each part would give in a run if its size were 1, shape (19, m, m)."""
     m = scene.size
     found = np.empty((len(PARTS), m, m))
     row_h = scene.time_h[scene.window]
@@ -98,8 +102,11 @@ def covariances(scene: Scene, answers: Answers) -> Array:
             lag_h = np.abs(row_h[:, None] - row_h[None, :])
             found[i] = _alike(scene, part.drive) * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
             continue
+        if part.drive == GAPS:
+            found[i] = answers.to_gaps @ answers.to_gaps.T
+            continue
         at_h = answers.at_h[part.drive]
-        shape = over_time(part, at_h)
+        shape = over_time(part, at_h, [again.step * scene.step_h for again in scene.restarts])
         if part.name.startswith("nutation"):
             size = (answers.length_cm / REFERENCE_CM) ** 2
             shape = shape * size[:, None] * size[None, :]
@@ -108,15 +115,22 @@ def covariances(scene: Scene, answers: Answers) -> Array:
     return found
 
 
-def over_time(part: Part, at_h: Array) -> Array:
-    """How alike what a part does is at some times, shape (k, k); 1 is its size."""
+def over_time(part: Part, at_h: Array, again_h: Sequence[float] = ()) -> Array:
+    """How alike what a part does is at some times, shape (k, k); 1 is its size.
+
+    Args:
+        part: that acts on the plant.
+        at_h: since the start of the run.
+        again_h: when the run begins anew.
+    """
     lag_h = np.abs(at_h[:, None] - at_h[None, :])
     alike = np.exp(-lag_h / part.memory_h)
     if part.period_h:
         alike = alike * np.cos(2.0 * np.pi * lag_h / part.period_h)
     if part.first_h:
-        left = np.exp(-(at_h - at_h[0]) / part.first_h)
-        alike = alike * left[:, None] * left[None, :]
+        starts_h = np.array([at_h[0], *again_h])[:, None]
+        left = np.where(at_h >= starts_h, np.exp(-(at_h - starts_h) / part.first_h), 0.0)
+        alike = alike * (left.T @ left)
     return np.asarray(alike)
 
 
@@ -158,10 +172,10 @@ def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence
         residuals: measured minus what the typical plant does, one per run, shape (m,).
         parts: of the same runs, see :func:`covariances`.
         known: covariance that is there besides, shape (m, m): that plants differ.
-        start: sizes to begin with, shape (18,).
+        start: sizes to begin with, shape (19,).
 
     Returns:
-        Sizes, shape (18,).
+        Sizes, shape (19,).
     """
     middle = np.log(sizes_expected())
     doubt = np.array([part.doubt for part in PARTS])

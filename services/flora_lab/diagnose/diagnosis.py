@@ -124,6 +124,10 @@ class Diagnosis(msgspec.Struct, frozen=True):
     runs: list[str] = []
     described: Described | None = None
     """What has no name but can be described; None where nothing else seems to be at work."""
+    considered: list[dict[str, float]] = []
+    """Nats that each cause of the catalogue would have gained, in each round of the search."""
+    needed_nats: float = 0.0
+    """That one must have to be named."""
     base: dict[str, Any] = {}
     """What the simulator was learned from, and what is known of it."""
     format: int = 1

@@ -42,6 +42,8 @@ form of the law adds up over runs."""
 _RUNS: Final = 3
 BESIDE: Final = 0.15
 """Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
+_MUCH: Final = 3.0
+"""So many times what healthy runs leave is left where the plants themselves were not found."""
 _RESTARTS: Final = 2
 _BADLY: Final = 1.5
 
@@ -141,12 +143,15 @@ class Explainer:
         swing: Swing | None = None
         joint = self._joint(swing)
         null = joint.fit(_side_by_side(alone), 12)
+        if self._is_much(null):
+            # What is very wrong with the runs may have led each of them far astray.
+            null = max(null, joint.fit(joint.null(), 12), key=lambda fit: fit.evidence)
         found = null
         stages: list[Stage] = []
         accepted: list[Accepted] = []
         while len(stages) <= MOST_CAUSES:
             stage = self.stage(joint, found, swing)
-            for _ in range(_RESTARTS):
+            for _ in range(_RESTARTS if not stages else 1):
                 # What many causes seem to explain may be plants that were not found: once more from the winner's.
                 better = self._restarted(joint, stage)
                 if better.evidence < stage.before.evidence + 1.0:
@@ -173,6 +178,11 @@ class Explainer:
                     accepted[:] = [one for one in accepted if one.tried.swing is None]
                 joint = self._joint(swing)
                 found = joint.fit(_started(found), 12)
+                if not _is_worth_a_name(found):
+                    # With what chance does about it, the last cause is next to nothing.
+                    last = accepted.pop().tried.effect.name
+                    found = joint.fit(_without(found, last), 12)
+                    break
         beside = self._beside(stages[-1], accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
 
@@ -211,12 +221,12 @@ class Explainer:
         tried: list[Tried] = []
         effects = [e for e in CATALOGUE if e.forms and e.name != SWING and e.name not in there and self._may_be(e)]
         for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
-            tried.append(Tried(effect, evidence_for_last(before, fit), fit))
+            tried.append(_tried(before, effect, fit))
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:
             # Only looked at linearly so far.
             effect, fit = tried[0].effect, joint.fit(_started(tried[0].found), 12)
-            tried[0] = Tried(effect, evidence_for_last(before, fit), fit)
+            tried[0] = _tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
@@ -227,18 +237,31 @@ class Explainer:
                 tried.insert(place, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
         is_first = swing is None and not before.hypothesis.causes
-        return self._again(joint, found) if is_first and found.has_no_name(self.nameless) else found
+        if is_first and found.has_no_name(self.nameless):
+            return self._again(joint, found, lambda one: one.misfit > before.misfit + 1.0)
+        if is_first and self._leaves_much(found):
+            return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
+        return found
+
+    def _leaves_much(self, stage: Stage) -> bool:
+        """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""
+        best = next((t.found for t in stage.tried if t.found is not None and t.found.residuals), stage.before)
+        return self._is_much(best)
+
+    def _is_much(self, fit: Found) -> bool:
+        left = np.mean([np.mean(residual**2) for residual in fit.residuals])
+        return bool(left > _MUCH * self.known.left[:, 0].mean())
 
     @staticmethod
-    def _again(joint: Joint, stage: Stage) -> Stage:
-        """Causes that were not fitted, or lost their way, from typical plants, before it is said that none is it."""
+    def _again(joint: Joint, stage: Stage, is_lost: Callable[[Found], bool]) -> Stage:
+        """Causes that may have lost their way, from typical plants: those of which no strength explains as much as
+        nothing does, or those that can bend plants so far that the null was not found."""
         tried = []
         for one in stage.tried:
-            # What is nothing at no strength can explain no less than nothing.
-            is_lost = one.found is not None and one.found.misfit > stage.before.misfit + 1.0
-            other = search.from_typical(joint, stage.before, one.effect) if is_lost else None
-            gain = evidence_for_last(stage.before, other) if other is not None else -np.inf
-            tried.append(Tried(one.effect, gain, other) if gain > one.gain else one)
+            is_tried = one.found is not None and is_lost(one.found)
+            other = search.from_typical(joint, stage.before, one.effect) if is_tried else None
+            again = _tried(stage.before, one.effect, other) if other is not None else one
+            tried.append(again if again.gain > one.gain else one)
         return replace(stage, tried=tuple(sorted(tried, key=lambda t: -t.gain)))
 
     def _swing(self, before: Found) -> Tried:
@@ -312,6 +335,18 @@ class Explainer:
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)
+
+
+def _tried(before: Found, effect: Effect, fit: Found) -> Tried:
+    """A cause on top of others; one that is too small to be worth a name gains nothing."""
+    gain = evidence_for_last(before, fit)
+    return Tried(effect, gain if _is_worth_a_name(fit) else min(gain, 0.0), fit)
+
+
+def _is_worth_a_name(fit: Found) -> bool:
+    """Whether the last cause of a fit is large enough to matter."""
+    values = fit.values()[-1]
+    return all(p.is_worth_a_name(values[p.name]) for p in fit.hypothesis.causes[-1].effect.parameters)
 
 
 def _side_by_side(alone: Sequence[Found]) -> Found:

@@ -16,15 +16,13 @@ import numpy.typing as npt
 import scipy.linalg
 
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
-from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES
 
 Array = npt.NDArray[Any]
 
 TRAITS: Final = len(NAMES)
-START_SD: Final = np.array([0.02, 0.04])
-"""How well tilt and bow of the first stem are measured, rad."""
 _OWN: Final = TRAITS + len(START_SD)
 _STEP_SD: Final = 0.1
 """Of differences, in standard deviations of what is known before."""

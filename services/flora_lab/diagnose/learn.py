@@ -11,8 +11,8 @@ import numpy.typing as npt
 import scipy.linalg
 
 from flora_lab.diagnose import chance
-from flora_lab.diagnose.joint import START_SD, TRAITS, Base, Found, Joint, Ready, ready
-from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.joint import TRAITS, Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.scene import START_SD, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
 
@@ -47,7 +47,7 @@ class _Linear:
     Attributes:
         residual: measured minus what the typical plant does, shape (m,).
         slopes: of the features by the plant's own unknowns, shape (m, 11).
-        parts: covariances of what happens by chance, per unit, shape (18, m, m).
+        parts: covariances of what happens by chance, per unit, shape (19, m, m).
     """
 
     residual: Array

@@ -21,10 +21,10 @@ import scipy.linalg
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
 from flora_lab.diagnose.explain import CLAIM, Explanation
-from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.rivals import last_choice, rivals
-from flora_lab.diagnose.scene import TEMPERATURE, Scene
+from flora_lab.diagnose.scene import START_SD, TEMPERATURE, Scene
 from flora_lab.diagnose.schedules import CHOICE, DEFAULT, Schedule
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.verdict import RELATED

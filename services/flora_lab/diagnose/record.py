@@ -20,6 +20,8 @@ GAP_H: Final = 0.5
 _ABOUT_ROWS: Final = 7
 _LEAST_JUMP_CM: Final = 0.6
 _JUMP_MADS: Final = 12.0
+_LEAST_KINK_CM: Final = 0.3
+_KINK_MADS: Final = 8.0
 _ROUGH_SHARE: Final = 0.22
 """Of how far a tip is from those about it: what a parabola leaves of a jump is 0.27 of it or more, of a swing less."""
 _STUCK_H: Final = 2.0
@@ -29,9 +31,10 @@ _MAD_SD: Final = 1.4826
 def cleaned(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     """The run without rows that no plant can have left, and sentences about what was found."""
     told: list[str] = []
-    wrong = _jumps(run) | _stuck(run)
+    jumped, stuck_rows = _jumps(run) | _kinks(run), _stuck(run)
+    wrong = jumped | stuck_rows
     if wrong.any():
-        jumps, stuck = int(_jumps(run).sum()), int(_stuck(run).sum())
+        jumps, stuck = int(jumped.sum()), int(stuck_rows.sum())
         if jumps:
             told.append(f"{run.name}: {_times(jumps, 'stem')} lay far from those before and after; left out")
         if stuck:
@@ -63,8 +66,7 @@ def _jumps(run: MeasuredRun) -> Array:
         return out
     own = tips[rows]
     half = _ABOUT_ROWS // 2
-    padded = np.pad(own, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    around = np.lib.stride_tricks.sliding_window_view(padded, _ABOUT_ROWS, axis=0)
+    around = _around(own)
     away = np.hypot(*(own - np.median(around, axis=-1)).T)
     usual = _MAD_SD * float(np.median(away))
     is_far = away > max(_LEAST_JUMP_CM, _JUMP_MADS * usual)
@@ -73,6 +75,29 @@ def _jumps(run: MeasuredRun) -> Array:
     rough = np.sqrt(np.mean((around - around @ parabolas @ parabolas.T) ** 2, axis=-1).sum(axis=-1))
     out[rows] = is_far & (rough > _ROUGH_SHARE * away)
     return out
+
+
+def _kinks(run: MeasuredRun) -> Array:
+    """Rows whose tip alone is far from where the stem below it goes, shape (n,).
+
+    However fast a stem swings, its last piece goes on from the one below nearly as it did minutes before.
+    """
+    out = np.zeros(len(run), dtype=np.bool_)
+    rows = np.flatnonzero(run.is_measured)
+    if len(rows) < 2 * _ABOUT_ROWS:
+        return out
+    kink = np.diff(run.points_cm[rows, -3:, 0], n=2, axis=1)
+    away = np.abs(kink - np.median(_around(kink), axis=-1))[:, 0]
+    usual = _MAD_SD * float(np.median(away))
+    out[rows] = away > max(_LEAST_KINK_CM, _KINK_MADS * usual)
+    return out
+
+
+def _around(values: Array) -> Array:
+    """Values (n, k) with those before and after, shape (n, k, 7)."""
+    half = _ABOUT_ROWS // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.lib.stride_tricks.sliding_window_view(padded, _ABOUT_ROWS, axis=0)
 
 
 def _stuck(run: MeasuredRun) -> Array:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.first_stem import first_stem
+from flora_lab.diagnose.restarts import restarts_of, short_gaps
 from flora_lab.effects.effect import RUN_H, Change
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
@@ -43,6 +44,10 @@ KNOT_H: Final = {"bias": 0.5, "gradient": 1.0, "growth": 1.0, "gain": 1.0}
 USUAL: Final = {"bias": 0.0, "gradient": 0.0, "growth": 1.0, "gain": 1.0}
 """What drives are where nothing drives."""
 _PUSH: Final = {"bias": 0.02, "gradient": 0.02, "growth": 0.2, "gain": 0.2}
+START_SD: Final = np.array([0.02, 0.04])
+"""How well tilt and bow of a stem are measured from which a run begins, rad."""
+_OF_ANY_TIME: Final = np.sqrt(12.0)
+"""A length over the standard deviation of a place that is anywhere in it."""
 TEMPERATURE: Final = "temperature_c"
 _OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY]
 """Terms that say of what kind another one is: they do not add up."""
@@ -71,11 +76,14 @@ class Answers:
         to: drive (see :data:`KNOT_H`) to shape (m, knots), per unit of the drive.
         at_h: drive to the middles of its knots, shape (knots,).
         length_cm: of the stem in the middle of each bias knot.
+        to_gaps: to what gaps leave unknown, each in units of how well it is known, shape (m, k): tilt and bow of stems
+            from which the run begins anew, and when lamps changed.
     """
 
     to: dict[str, Array]
     at_h: dict[str, Array]
     length_cm: Array
+    to_gaps: Array
 
 
 class Scene:
@@ -107,11 +115,17 @@ class Scene:
         if warm is not None and usual_c is not None:
             self.warmth_c = np.nan_to_num(warm[: self.steps] - usual_c)
         self.first_cm = first_stem(run.points_cm)
-        self._length, self._angle, self._count = rods_through(self.first_cm[None])
+        self.restarts = restarts_of(run, self.steps, self._every)
+        self._short_gaps = short_gaps(run, self.steps)
+        self._stems = [(0, *rods_through(self.first_cm[None]))]
+        self._stems += [(again.step, *rods_through(again.stem_cm[None])) for again in self.restarts]
         tip_x_cm, tip_y_cm = self.first_cm[-1]
-        self.first = np.array([np.log(self._length.sum()), np.arctan2(tip_x_cm, tip_y_cm)])
+        self.first = np.array([np.log(self._stems[0][1].sum()), np.arctan2(tip_x_cm, tip_y_cm)])
         rows = run.points_cm[1 + late : self.steps + 1 + late]
-        seen = np.isfinite(rows[:, -1, 0]).astype(np.float64)
+        self.is_seen = run.is_measured
+        for again in self.restarts:
+            self.is_seen[again.blind_from : again.step + 2] = False
+        seen = self.is_seen[1 + late : self.steps + 1 + late].astype(np.float64)
         told = np.stack([np.nan_to_num(rows[:, point, axis]) for point, axis in FEATURES], axis=1)
         weight = seen.reshape(self.windows, self.per_window)
         count = weight.sum(axis=1)
@@ -147,36 +161,53 @@ class Scene:
         """Number of features."""
         return len(self.features)
 
-    def points(self, lanes: Lanes, drives: dict[str, Array] | None = None, every: int | None = None) -> Array:
+    def points(
+        self,
+        lanes: Lanes,
+        drives: dict[str, Array] | None = None,
+        every: int | None = None,
+        bends: Array | None = None,
+        lights: Sequence[Array] | None = None,
+    ) -> Array:
         """Stems as the camera shows them, shape (rows told, lanes, 10, 2).
 
         Args:
             lanes: which plants, under which changes.
-            every: steps from one row that is told to the next; as features need it where None.
             drives: by the names of :data:`USUAL`, shape (steps, lanes); as there where missing.
+            every: steps from one row that is told to the next; as features need it where None.
+            bends: tilt and bow of the stems from which it begins anew, rad, shape (restarts, lanes, 2).
+            lights: what shone by the record, one of shape (steps, 2) per lane; that of the run where None.
         """
         count = len(lanes.traits)
         given = {name: np.full((self.steps, count), usual) for name, usual in USUAL.items()} | (drives or {})
         every = every or self._every
-        turn, scale, terms, light = self._changed(lanes.changes, every)
+        turn, scale, terms, light = self._changed(lanes.changes, every, lights)
         out = np.empty((self.steps // every, count, STEM_POINTS, 2))
-        self.law.advance_with(
-            self._first(lanes, scale),
-            lanes.traits,
-            terms,
-            Driven(
-                light,
-                given["bias"],
-                given["gradient"],
-                given["growth"],
-                given["gain"],
-                self.warmth_c,
-            ),
-            Seen(turn, scale),
-            self.step_h,
-            every,
-            out,
-        )
+        if bends is None:
+            bends = np.zeros((len(self.restarts), count, 2))
+        memory = np.zeros((count, *MEMORY))
+        ends = [step for step, *_ in self._stems[1:]] + [self.steps]
+        for own, stop, bend in zip(self._stems, ends, [lanes.start, *bends], strict=True):
+            stems = self._standing(own, lanes.changes, bend, memory)
+            now, told = slice(own[0], stop), slice(own[0] // every, stop // every)
+            self.law.advance_with(
+                stems,
+                lanes.traits,
+                terms,
+                Driven(
+                    light[now],
+                    given["bias"][now],
+                    given["gradient"][now],
+                    given["growth"][now],
+                    given["gain"][now],
+                    self.warmth_c[now],
+                ),
+                Seen(turn[told], scale),
+                self.step_h,
+                every,
+                out[told],
+            )
+            memory = stems.memory
         return out
 
     def of_points(self, points: Array) -> Array:
@@ -201,10 +232,11 @@ class Scene:
     def tips(self, traits: Array, start: Array, change: Change) -> tuple[Array, Array]:
         """Measured minus simulated tip, sideways, after each step, and the simulated one, each of shape (steps,).
 
-        The first is NaN where nothing was measured.
+        The first is NaN where nothing was measured, and where a run is about to begin anew.
         """
         told = self.points(Lanes(traits[None] + change.traits, start[None], [change]), every=1)[:, 0, -1, 0]
-        return self.run.points_cm[1 : self.steps + 1, -1, 0] - told, told
+        tip_cm = np.where(self.is_seen, self.run.points_cm[:, -1, 0], np.nan)
+        return tip_cm[1 : self.steps + 1] - told, told
 
     def answers(self, traits: Array, change: Change) -> Answers:
         """How this run would answer what happens by chance, for a plant with these traits, shape (9,)."""
@@ -224,24 +256,50 @@ class Scene:
             at_h[name] = (np.arange(knots) + 0.5) * per_knot * self.step_h
         lengths = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
         length_cm = np.interp(at_h["bias"], self._told_h, lengths)
-        return Answers(to, at_h, length_cm)
+        return Answers(to, at_h, length_cm, self._to_gaps(traits, change, base))
 
-    def _first(self, lanes: Lanes, scale: Array) -> Stems:
-        """The first stem as it really stood: without what the camera does to it."""
-        count = len(lanes.traits)
-        length = np.repeat(self._length, count, axis=0) / scale[:, None]
-        arc = np.cumsum(self._length[0]) / self._length[0].sum() - 0.5
-        bend = lanes.start[:, :1] + lanes.start[:, 1:] * arc[None]
-        at_start = np.radians([change.turn_deg for change in lanes.changes])
-        angle = np.repeat(self._angle, count, axis=0) + bend - at_start[:, None]
-        return Stems(length, angle, np.repeat(self._count, count), np.zeros((count, *MEMORY)))
+    def _to_gaps(self, traits: Array, change: Change, base: Array) -> Array:
+        """See :class:`Answers`; ``base`` are the features if all is as it is taken to be."""
+        own, short = 2 * len(self.restarts), len(self._short_gaps)
+        count = own + 2 * short
+        if not count:
+            return np.zeros((self.size, 0))
+        bends = np.zeros((count, len(self.restarts), 2))
+        bends.reshape(count, own)[np.arange(own), np.arange(own)] = np.tile(START_SD, len(self.restarts))
+        lights = np.repeat(self.light[None], count, axis=0)
+        for k, gap in enumerate(self._short_gaps):
+            lights[own + k, gap.start : gap.stop] = gap.before
+            lights[own + short + k, gap.start : gap.stop] = gap.after
+        lanes = Lanes(np.repeat(traits[None], count, axis=0), np.zeros((count, 2)), [change] * count)
+        told = self.of_points(self.points(lanes, bends=bends.transpose(1, 0, 2), lights=list(lights)))
+        bent = told[:own] - base
+        late = (told[own : own + short] - told[own + short :]) / _OF_ANY_TIME
+        return np.asarray(np.concatenate([bent, late]).T)
 
-    def _changed(self, changes: Sequence[Change], every: int) -> tuple[Array, Array, Array, Array]:
+    def _standing(
+        self, stem: tuple[int, Array, Array, Array], changes: Sequence[Change], bend: Array, memory: Array
+    ) -> Stems:
+        """A stem of the record as it really stood: without what the camera does to it."""
+        step, length, angle, count = stem
+        lanes = len(changes)
+        scale = np.array([change.scale for change in changes])
+        arc = np.cumsum(length[0]) / length[0].sum() - 0.5
+        share = step * self.step_h / RUN_H
+        turned = np.radians([change.turn_deg + change.drift_deg * share for change in changes])
+        stood = np.repeat(angle, lanes, axis=0) + bend[:, :1] + bend[:, 1:] * arc[None] - turned[:, None]
+        return Stems(np.repeat(length, lanes, axis=0) / scale[:, None], stood, np.repeat(count, lanes), memory)
+
+    def _changed(
+        self, changes: Sequence[Change], every: int, shone: Sequence[Array] | None
+    ) -> tuple[Array, Array, Array, Array]:
         """Turn (steps, lanes), scale (lanes,), terms (lanes, 19) and light (steps, lanes, 2) of changes."""
         share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
         turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])
         terms = np.stack([self.terms_with(c) for c in changes])
+        if shone is not None:
+            own = [late_light(one, self.step_h, c.late_h, c.late_per_h) for one, c in zip(shone, changes, strict=True)]
+            return turn, scale, terms, np.stack(own, axis=1)
         late = {(c.late_h, c.late_per_h): k for k, c in enumerate(changes)}
         lights = {key: late_light(self.light, self.step_h, *key) for key in late}
         light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)

@@ -23,8 +23,8 @@ import scipy.linalg
 import scipy.optimize
 
 from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
-from flora_lab.diagnose.joint import START_SD, Base, Found, Ready
-from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.diagnose.joint import Base, Found, Ready
+from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 from flora_lab.effects.law_forms import FORMS, NEARER

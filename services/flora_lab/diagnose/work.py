@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
-from flora_lab.diagnose.explain import SWING, Explainer, Explanation
+from flora_lab.diagnose.explain import SWING, Explainer, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
@@ -188,11 +189,17 @@ def diagnose(
         described=_described(left),
         record=list(runs.notes),
         runs=[str(track.file) for track in runs.tracks],
+        considered=[_considered(stage.tried) for stage in explanation.stages],
+        needed_nats=round(explanation.claim, 1),
         base={"learned_from": start.learned_from, **_base_words(start.known)},
     )
     extensions = extensions_of(causes[len(faults) :])
     corrected = _corrected(start, extensions)
     return Result(start, diagnosis, explanation, tables, extended_tables, extensions, runs, corrected)
+
+
+def _considered(tried: Sequence[Tried]) -> dict[str, float]:
+    return {one.effect.name: round(one.gain, 1) for one in tried if math.isfinite(one.gain)}
 
 
 def _corrected(start: Start, extensions: Sequence[Extension]) -> CorrectedSimulator | None:

@@ -32,6 +32,7 @@ EFFECT: Final = Effect(
             meaning="of the picture after 72 h against the first, anticlockwise",
             source="a mount that gives way",
             starts=(-3.0, 3.0),
+            least=0.5,
         ),
     ),
     forms=(act,),

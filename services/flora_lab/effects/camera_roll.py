@@ -32,6 +32,7 @@ EFFECT: Final = Effect(
             meaning="of the picture, anticlockwise",
             source="a tripod set up by eye is good to a degree or two",
             starts=(-3.0, 3.0),
+            least=0.5,
         ),
     ),
     forms=(act,),

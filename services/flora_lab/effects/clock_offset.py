@@ -31,6 +31,7 @@ EFFECT: Final = Effect(
             meaning="hours by which lamps acted after their record says so",
             source="half an hour is a forgotten time zone; a slow boot is less",
             starts=(-0.4, 0.4),
+            least=0.1,
         ),
     ),
     forms=(act,),

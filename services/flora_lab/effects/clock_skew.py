@@ -32,6 +32,7 @@ EFFECT: Final = Effect(
             meaning="hours by which the record of the lamps falls behind, per hour",
             source="a bad oscillator; a computer that sleeps",
             starts=(-0.015, 0.015),
+            least=0.1 / 72.0,
         ),
     ),
     forms=(act,),

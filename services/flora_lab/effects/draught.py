@@ -38,6 +38,7 @@ EFFECT: Final = Effect(
             meaning="curvature per hour of a steady push to the right",
             source="a fan, a window, a leaning pot",
             starts=(-0.1, 0.1),
+            least=0.01,
         ),
     ),
     forms=(

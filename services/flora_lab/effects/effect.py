@@ -33,6 +33,8 @@ class Parameter:
         meaning: in a few words.
         source: of the range.
         starts: values from which a search sets out, where ``none`` will not do.
+        least: how far from ``none`` a value must be to be worth a name. Of what shows strongly in every run, so little
+            is within what no law is right to.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Parameter:
     meaning: str
     source: str
     starts: tuple[float, ...] = ()
+    least: float = 0.0
 
     def coordinate(self, value: float) -> float:
         """In which the search moves: the logarithm on a ``log`` scale."""
@@ -64,6 +67,10 @@ class Parameter:
             return low - room, high + room
         none, room = self.coordinate(self.none), 0.6 * (high - low)
         return (none if none <= low else low - room), (none if none >= high else high + room)
+
+    def is_worth_a_name(self, value: float) -> bool:
+        """Whether a value is so far from none that it matters."""
+        return self.none is None or abs(value - self.none) >= self.least
 
     @property
     def centre(self) -> float:
@@ -147,6 +154,11 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def is_strong(self) -> bool:
+        """Whether it shows in every run so much that a little of it is not worth a name."""
+        return any(parameter.least > 0.0 for parameter in self.parameters)
 
 
 def is_same(one: Effect, other: Effect) -> bool:

@@ -32,6 +32,7 @@ EFFECT: Final = Effect(
             meaning="hours by which the answer comes later",
             source="Arabidopsis, buckwheat: minutes to an hour",
             starts=(0.4,),
+            least=0.1,
         ),
     ),
     forms=(act,),

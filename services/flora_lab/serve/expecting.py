@@ -12,8 +12,8 @@ import scipy.linalg
 
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.hypothesis import Hypothesis
-from flora_lab.diagnose.joint import START_SD, Base, Found, Joint, Ready, ready
-from flora_lab.diagnose.scene import FEATURES, Answers, Lanes, Scene
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.scene import FEATURES, START_SD, Answers, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.serve import evidence, pushes
 

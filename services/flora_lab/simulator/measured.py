@@ -20,6 +20,26 @@ NEAR_SHARE: Final = 0.35
 
 
 @dataclass(frozen=True, slots=True)
+class UnseenLight:
+    """Steps in a gap, of which no row tells what shone.
+
+    Attributes:
+        start, stop: the first of them, and the one after the last.
+        before, after: levels of the lamps that the rows on both sides tell, shape (2,).
+    """
+
+    start: int
+    stop: int
+    before: FloatArray
+    after: FloatArray
+
+    @property
+    def changes(self) -> bool:
+        """Whether another lamp shone after the gap than before it."""
+        return bool((self.before != self.after).any())
+
+
+@dataclass(frozen=True, slots=True)
 class MeasuredRun:
     """One run, every ``step_s`` from its first stem to its last.
 
@@ -32,6 +52,7 @@ class MeasuredRun:
         step_s: from one row to the next.
         covariates: name to shape (n - 1,), from each row to the next.
         lamps: where they hang, or None.
+        unseen: where ``light`` is not told by any row, in order of time.
     """
 
     name: str
@@ -43,6 +64,7 @@ class MeasuredRun:
     step_s: float
     covariates: Mapping[str, FloatArray]
     lamps: LampsSection | None = None
+    unseen: tuple[UnseenLight, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -68,14 +90,16 @@ class MeasuredRun:
             self.step_s,
             self.covariates,
             self.lamps,
+            tuple(UnseenLight(u.start, u.stop, u.before[::-1], u.after[::-1]) for u in self.unseen),
         )
 
 
 def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     """A run's track on a grid of equal steps from its first row.
 
-    ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; before that, the lamp
-    of the row before the gap is taken to have stayed on. Rows that lie near no place of the grid are left out.
+    ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; where that is
+    another lamp than before the gap, it is taken to have changed in the middle. Rows that lie near no place of the grid
+    are left out.
 
     Raises:
         BadInput: fewer than two stems, points that no stem has, or no two rows ``step_s`` apart.
@@ -95,8 +119,12 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     points = np.full((count, STEM_POINTS, 2), np.nan)
     points[at] = track.points_cm[rows]
     own = np.array([LEVELS[light] for light in track.light])[rows]
-    last = np.searchsorted(at, np.arange(1, count), side="right") - 1  # the row at or before each step's end
-    light = own[last]
+    next_row = np.searchsorted(at, np.arange(1, count))  # the row at or after each step's end
+    light = own[next_row]
+    gaps = np.flatnonzero(np.diff(at) > 1)
+    unseen = tuple(UnseenLight(int(at[k]), int(at[k + 1]) - 1, own[k], own[k + 1]) for k in gaps)
+    for gap in unseen:
+        light[gap.start : (gap.start + gap.stop + 1) // 2] = gap.before
     covariates = {}
     for name, values in track.covariates.items():
         covariates[name] = np.interp(np.arange(count - 1) + 0.5, at, values[rows])
@@ -110,6 +138,7 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         step_s,
         covariates,
         run.lamps,
+        unseen,
     )
 
 

@@ -1,0 +1,81 @@
+"""Gaps in which nobody knows which lamp shone: where a free run must begin anew, and what may be a little late.
+
+A plant that answers for hours to a lamp that the record does not tell stands elsewhere afterwards, whatever the law. So
+the stem is taken from the record again; what the plant remembers of the lamps is what the simulation makes of the gap.
+After a short gap that is not needed: a lamp that changed in it is taken to have changed in its middle, and how wrong
+that may be is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose.first_stem import first_stem
+from flora_lab.simulator.measured import MeasuredRun, UnseenLight
+
+Array = npt.NDArray[Any]
+
+LEAST_H: Final = 0.5
+"""A gap in which lamps changed is short up to this."""
+_SHORT_DWELL: Final = 10.0
+"""Per cent of dwells that are shorter than the one in which lamps may have changed twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A stem taken from the record in the middle of a run.
+
+    Attributes:
+        step: from which on the run is simulated anew; its row was measured, and those on both sides of it.
+        blind_from: the first row before it that cannot be compared, up to the one after ``step``.
+        stem_cm: shape (10, 2).
+    """
+
+    step: int
+    blind_from: int
+    stem_cm: Array
+
+
+def restarts_of(run: MeasuredRun, steps: int, every: int) -> list[Restart]:
+    """Where a run begins anew, in order of time.
+
+    Args:
+        run: with its gaps.
+        steps: that are simulated.
+        every: restarts lie at multiples of so many steps, for only these are told.
+    """
+    step_h = run.step_s / 3600.0
+    measured = run.is_measured
+    dwell_h = _short_dwell_h(run.light, step_h)
+    out: list[Restart] = []
+    for gap in run.unseen:
+        if not _is_doubtful(gap, step_h, dwell_h) or (out and gap.start < out[-1].step):
+            continue
+        after = np.arange(-(-(gap.stop + 2) // every) * every, min(steps, len(run) - 1), every)
+        sound = [row for row in after if measured[row - 1 : row + 2].all()]
+        if sound:
+            step = int(sound[0])
+            out.append(Restart(step, gap.start + 1, first_stem(run.points_cm[step - 1 :])))
+    return out
+
+
+def short_gaps(run: MeasuredRun, steps: int) -> list[UnseenLight]:
+    """Gaps in which a lamp changed some minutes earlier or later, in order of time, within the first ``steps``."""
+    step_h = run.step_s / 3600.0
+    return [g for g in run.unseen if g.changes and g.start < steps and (g.stop - g.start) * step_h <= LEAST_H]
+
+
+def _is_doubtful(gap: UnseenLight, step_h: float, dwell_h: float) -> bool:
+    hours = (gap.stop - gap.start) * step_h
+    return hours > (LEAST_H if gap.changes else max(LEAST_H, dwell_h))
+
+
+def _short_dwell_h(light: Array, step_h: float) -> float:
+    """For how long at least a lamp nearly always shines; infinite where too few changes tell."""
+    changes = np.flatnonzero((np.diff(light, axis=0) != 0.0).any(axis=1))
+    dwells = np.diff(changes)
+    return float(np.percentile(dwells, _SHORT_DWELL)) * step_h if len(dwells) else np.inf
