@@ -26,7 +26,8 @@ def wild() -> tuple[Base, list[Found]]:
     odd = TYPICAL.copy()
     odd[[NAMES.index("photoception_per_cm_h"), NAMES.index("proprioception_per_h")]] += np.log([0.15, 4.0])
     with one_blas_thread():
-        found = learn.learned([*scenes_of(REFERENCE[:-1]), scene_of(8, traits=odd)])
+        scenes = [*scenes_of(REFERENCE[:-1]), scene_of(8, traits=odd)]
+        found = learn.learned(scenes, learn.begun(scenes))
     return found.base, found.fits
 
 
@@ -119,13 +120,15 @@ def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> N
     for term in forms.values():
         change.terms[term] = 1.0
     with one_blas_thread():
-        law = law_of([scene_of(seed, change=change) for seed in REFERENCE[:4]])
+        law, first = law_of([scene_of(seed, change=change) for seed in REFERENCE[:4]])
+    assert first.rounds == 1
     assert [one.effect for one in law] == list(forms)
 
 
 def test_what_is_typical_does_not_depend_on_the_order_of_runs() -> None:
     with one_blas_thread():
-        there, back = (learn.learned(scenes_of(seeds)).base for seeds in ((0, 1, 2, 3), (3, 1, 0, 2)))
+        told = [scenes_of(seeds) for seeds in ((0, 1, 2, 3), (3, 1, 0, 2))]
+        there, back = (learn.learned(scenes, learn.begun(scenes)).base for scenes in told)
     assert np.abs(there.mean - back.mean).max() < 0.01
     assert np.abs(there.spread - back.spread).max() < 0.1 * np.abs(prior_spread()).max()
 

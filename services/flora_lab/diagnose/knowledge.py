@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose import learn, rhythm, usual_errors
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.learn import Learned
 from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
 from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
@@ -29,7 +30,7 @@ _LAWS: Final = (SIDE_ALONE, EVEN_LIGHT)
 """In what the law may be another than it is written, tried in this order."""
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-ROUNDS: Final = 1 + len(_LAWS) + learn.ROUNDS + 1
+ROUNDS: Final = 1 + len(_LAWS) + (learn.ROUNDS - 1) + 1
 """How often :func:`learn_from` tells that it has come farther."""
 
 
@@ -60,12 +61,12 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
     rounds = itertools.count(1)
 
-    def told(_: int) -> None:
+    def told() -> None:
         on_round(next(rounds))
 
-    law = law_of(scenes, told)
+    law, first = law_of(scenes, told)
     scenes = _under(law, scenes)
-    best = learn.learned(scenes, told)
+    best = learn.learned(scenes, first, told)
     base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
@@ -80,21 +81,25 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     spectra = [spectra_of(scene, end, 0) for scene, end in zip(scenes, ends, strict=True)]
     swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
-    on_round(ROUNDS)
+    told()
     shown = reference_residuals(scenes, base, ends)
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
 
 
-def law_of(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> tuple[Extension, ...]:
-    """The forms of the law that plants are under, by what one round of learning makes of their runs."""
+def law_of(
+    scenes: Sequence[Scene], on_round: Callable[[], None] = lambda: None
+) -> tuple[tuple[Extension, ...], Learned]:
+    """The forms of the law that plants are under, and the first round of learning under it."""
     law: tuple[Extension, ...] = ()
-    most = learn.learned(scenes, on_round, 1).evidence
+    best = learn.begun(scenes)
+    on_round()
     for form in _LAWS:
         other = (*law, Extension(form.name, {"amount": 1.0}))
-        evidence = learn.learned(_under(other, scenes), on_round, 1).evidence
-        if evidence > most + _RATHER:
-            law, most = other, evidence
-    return law
+        rival = learn.begun(_under(other, scenes))
+        on_round()
+        if rival.evidence > best.evidence + _RATHER:
+            law, best = other, rival
+    return law, best
 
 
 def _under(law: Sequence[Extension], scenes: Sequence[Scene]) -> list[Scene]:

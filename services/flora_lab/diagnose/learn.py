@@ -69,53 +69,55 @@ class Learned:
         fits: of each run by itself.
         parts: what happens by chance about these, see :func:`flora_lab.diagnose.chance.covariances`.
         evidence: logarithm of the probability of the runs, up to a constant that all laws share.
+        rounds: that were done.
     """
 
     base: Base
     fits: list[Found]
     parts: list[Array]
     evidence: float
+    rounds: int
 
 
-def learned(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None, rounds: int = ROUNDS) -> Learned:
-    """Learn a base from runs in which nothing is taken to be wrong.
-
-    Args:
-        scenes: one per run.
-        on_round: told the number of each round that is done.
-        rounds: how many; one tells laws apart.
-    """
-    known_doubt = np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
-    count = len(scenes)
+def begun(scenes: Sequence[Scene]) -> Learned:
+    """The first round of learning a base from runs in which nothing is taken to be wrong; it tells laws apart."""
     first, first_sd = _firsts(scenes)
-    base = Base(
-        prior_mean(),
-        prior_spread(),
-        known_doubt,
-        chance.sizes_expected() * 1.5,
-        first,
-        first_sd,
-        count,
-    )
-    fits: list[Found] = []
+    sizes = chance.sizes_expected() * 1.5
+    base = Base(prior_mean(), prior_spread(), _known_doubt(), sizes, first, first_sd, len(scenes))
     parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
-    linear: list[_Linear] = []
-    for number in range(1, rounds + 1):
-        alone = base.of_single_runs()
-        runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, parts, strict=True)]
-        starts = fits or [Joint([one], alone).null() for one in runs]
-        iterations = 12 if number == 1 else 5
-        fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
-        fits = _from_the_middle(runs, alone, fits)
-        base = _population(_near(fits) if number < rounds else fits, known_doubt, base)
-        parts = [
-            chance.covariances(scene, scene.answers(fit.traits[0], Change()))
-            for scene, fit in zip(scenes, fits, strict=True)
-        ]
-        linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
-        base = _with_chance(linear, base)
-        on_round(number)
-    return Learned(base, fits, parts, _evidence(linear, base))
+    return _carried_on(scenes, Learned(base, [], parts, -np.inf, 0))
+
+
+def learned(scenes: Sequence[Scene], first: Learned, on_round: Callable[[], None] = lambda: None) -> Learned:
+    """The rounds after the first one, see :func:`begun`; ``on_round`` is told of each."""
+    so_far = first
+    while so_far.rounds < ROUNDS:
+        so_far = _carried_on(scenes, so_far)
+        on_round()
+    return so_far
+
+
+def _carried_on(scenes: Sequence[Scene], so_far: Learned) -> Learned:
+    """One round more: each run's plant, what plants have in common, and what happens by chance about them."""
+    number = so_far.rounds + 1
+    alone = so_far.base.of_single_runs()
+    runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, so_far.parts, strict=True)]
+    starts = so_far.fits or [Joint([one], alone).null() for one in runs]
+    iterations = 12 if number == 1 else 5
+    fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
+    fits = _from_the_middle(runs, alone, fits)
+    base = _population(_near(fits) if number < ROUNDS else fits, _known_doubt(), so_far.base)
+    parts = [
+        chance.covariances(scene, scene.answers(fit.traits[0], Change()))
+        for scene, fit in zip(scenes, fits, strict=True)
+    ]
+    linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
+    base = _with_chance(linear, base)
+    return Learned(base, fits, parts, _evidence(linear, base), number)
+
+
+def _known_doubt() -> Array:
+    return np.diag([_DOUBTS.get(n, d) ** 2 for n, d in zip(NAMES, prior_doubt(), strict=True)])
 
 
 def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -> list[Found]:

@@ -21,26 +21,41 @@ _MOST_SAG: Final = 0.5
 _MOST_TIMES: Final = 24
 _STILL: Final = 1e-6
 """How often a stem bends again under its own bend, at most, and the angle, rad, below which it is at rest."""
+_FARTHEST: Final = 9.0
+"""How far two bends are followed to where all end, in units of the second."""
+_TINY: Final = 1e-24
 
 
 @inlined
 def elastic_bends(length: Array, angle: Array, n: int, sag: float, out: Array) -> None:
     """The elastic bend of each joint under the weight above it, rad; ``out`` is written."""
+    compliance = scratch(np.float64, CAPACITY)
+    _compliance(length, n, sag, compliance)
+    _bends(length, angle, n, compliance, out)
+
+
+@inlined
+def _compliance(length: Array, n: int, sag: float, out: Array) -> None:
+    """How much each joint bends under a moment, rad/cm^2; ``out`` is written."""
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    total = along(length, n, arc, reach)
+    for j in range(whole_registers(n)):
+        out[j] = sag * reach[j] * fast_exp(-(total - arc[j]) / SOFTNESS_CM)
+
+
+@inlined
+def _bends(length: Array, angle: Array, n: int, compliance: Array, out: Array) -> None:
+    """As :func:`elastic_bends`, of joints that are so compliant."""
     sin, cos = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     x, y = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    total = along(length, n, arc, reach)
     directions(length, angle, n, sin, cos, x, y)
-    soft = scratch(np.float64, CAPACITY)
-    for j in range(whole_registers(n)):
-        soft[j] = fast_exp(-(total - arc[j]) / SOFTNESS_CM)
     weight = lean = 0.0
     for i in range(n):
         j = n - 1 - i
         start_x = x[j] - sin[j] * length[j]
         weight += length[j]
         lean += length[j] * (x[j] - 0.5 * sin[j] * length[j])
-        bend = sag * reach[j] * soft[j] * (lean - weight * start_x)
+        bend = compliance[j] * (lean - weight * start_x)
         out[j] = min(max(bend, -_MOST_SAG), _MOST_SAG)
 
 
@@ -49,22 +64,41 @@ def settle(length: Array, angle: Array, n: int, sag: float, before: Array) -> No
     """Bend a stem that has grown until its elastic bends are those of the shape that it then has, in place.
 
     A stem that bends leans farther, and then bends more. What it would bend more by is not there to be added in a later
-    step, which begins from the shape as it is: left out, half of a soft stem's sag would be lost.
+    step, which begins from the shape as it is: left out, half of a soft stem's sag would be lost. Each bend brings it
+    nearer by much the same share, so that two of them tell where all would end (Anderson 1965, of depth one).
 
     Args:
         length, angle, n: the stem, before it bends.
         sag: see :func:`elastic_bends`.
         before: bends that are in its angles already, rad, shape (CAPACITY,).
     """
-    grown, now = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    grown, now, compliance = (
+        scratch(np.float64, CAPACITY),
+        scratch(np.float64, CAPACITY),
+        scratch(np.float64, CAPACITY),
+    )
+    bent, moved = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    _compliance(length, n, sag, compliance)
     for j in range(n):
-        grown[j] = angle[j]
-    for _ in range(_MOST_TIMES):
-        elastic_bends(length, angle, n, sag, now)
-        turn = moved = 0.0
+        grown[j] = bent[j] = angle[j]
+        moved[j] = 0.0
+    for times in range(_MOST_TIMES):
+        _bends(length, angle, n, compliance, now)
+        turn = farthest = along_change = of_change = 0.0
         for j in range(n):
             turn += now[j] - before[j]
-            moved = max(moved, abs(grown[j] + turn - angle[j]))
-            angle[j] = grown[j] + turn
-        if moved < _STILL:
+            now[j] = grown[j] + turn
+            move = now[j] - angle[j]
+            farthest = max(farthest, abs(move))
+            change = move - moved[j]
+            along_change += change * move
+            of_change += change * change
+        # Only forwards: where bends grow, what two of them point to is where a stem stands that the least push fells.
+        share = min(max(along_change / of_change, -_FARTHEST), 0.0) if times > 0 and of_change > _TINY else 0.0
+        is_still = farthest < _STILL
+        for j in range(n):
+            old_bent, moved[j] = bent[j], now[j] - angle[j]
+            bent[j] = now[j]
+            angle[j] = now[j] if is_still else now[j] - share * (now[j] - old_bent)
+        if is_still:
             break
