@@ -45,6 +45,7 @@ def bits(one: Knowledge) -> dict[str, bytes]:
         "swing_power": one.swings.power,
         "error_sizes": one.errors.sizes,
         "error_mean": one.errors.mean,
+        "error_doubt": one.errors.doubt,
         "left": one.left,
         "swing_evidence": one.swing_evidence,
         **{name: getattr(one.base, name) for name in one.base.__slots__ if name != "runs"},

@@ -46,7 +46,8 @@ def at(name: str) -> int:
 
 
 def errors_of(sizes: np.ndarray, runs: int = 9) -> UsualErrors:
-    return UsualErrors(sizes, np.zeros(sum(columns())), runs)
+    doubt = np.diag(np.repeat(sizes, columns()) ** 2) / runs
+    return UsualErrors(sizes, np.zeros(len(doubt)), doubt, runs)
 
 
 def evidence_for(name: str, seeds: tuple[int, ...], knowledge: Knowledge, pushed: dict[str, float]) -> float:
@@ -117,10 +118,21 @@ def test_what_two_effects_explain_alike_is_counted_once() -> None:
 def test_evidence_is_what_goes_beyond_healthy_runs() -> None:
     push = {"drive_per_cm_h": 0.03}
     news, usual = (evidence_for("draught", (30, 31, 32), one, push) for one in (known(), draughty()))
-    assert news > 20.0
+    assert news > 12.0
     assert usual < 3.0
     strong = evidence_for("draught", (30, 31, 32), draughty(), {"drive_per_cm_h": 0.25})
     assert strong > 6.0
+
+
+def test_what_happened_to_few_runs_by_chance_is_not_known_of_all() -> None:
+    """The mean is known less well than runs scatter about it: to each something else happens besides."""
+    errors = known().errors
+    assert (np.diag(errors.doubt) > np.repeat(errors.sizes, columns()) ** 2 / errors.runs).all()
+    assert np.linalg.eigvalsh(errors.doubt)[0] > 0.0
+    scene = scene_of(1)
+    one, many = (errors.of_run(scene, TYPICAL, Change(), together)[1] for together in (1, 9))
+    along = np.concatenate(directions(scene, TYPICAL, Change()), axis=1)
+    assert many - one == pytest.approx(8.0 * along @ errors.doubt @ along.T)
 
 
 def test_what_all_healthy_runs_show_is_no_news() -> None:
@@ -169,5 +181,5 @@ def test_runs_without_temperature_say_nothing_of_it() -> None:
     scene = scene_of(3)
     assert np.abs(directions(scene, TYPICAL, Change())[at("temperature_growth")]).max() == 0.0
     assert usual_errors.expected_sizes()[at("temperature_growth")] == pytest.approx(
-        known().errors.sizes[at("temperature_growth")]
+        known().errors.sizes[at("temperature_growth")], rel=1e-4
     )

@@ -35,10 +35,12 @@ def write_simulator(path: Path) -> None:
     shown = Shown(each, each, each, each, np.zeros((9, len(PERIODS_H))))
     sizes, first = chance.sizes_expected(), np.array([np.log(6.5), 0.0])
     base = Base(prior_mean(), prior_spread(), 0.1 * prior_spread(), sizes, first, np.array([0.1, 0.1]), 9)
+    errors = usual_errors.expected_sizes()
+    doubt = np.diag(np.repeat(errors, usual_errors.columns()) ** 2) / 9
     known = Knowledge(
         base,
         Swings(np.array([0.1, 0.6]), np.array([1.0, 0.1]), 1.0),
-        UsualErrors(usual_errors.expected_sizes(), np.zeros(sum(usual_errors.columns())), 9),
+        UsualErrors(errors, np.zeros(len(doubt)), doubt, 9),
         np.ones((9, 2)),
         np.zeros(9),
         ReferenceResiduals(shown, np.linspace(0.9, 1.1, 9)),

@@ -21,7 +21,7 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 5.0
+CLAIM: Final = 4.0
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""

@@ -40,6 +40,7 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "swing_power": (None,),
     "error_sizes": (len(usual_errors.causes()),),
     "error_mean": (sum(usual_errors.columns()),),
+    "error_doubt": (sum(usual_errors.columns()), sum(usual_errors.columns())),
     "left": (None, 2),
     "swing_evidence": (None,),
 }
@@ -107,6 +108,7 @@ def write_known(
         "swing_power": known.swings.power,
         "error_sizes": known.errors.sizes,
         "error_mean": known.errors.mean,
+        "error_doubt": known.errors.doubt,
         "left": known.left,
         "swing_evidence": known.swing_evidence,
     } | {
@@ -158,7 +160,7 @@ def read_known(stored: Stored) -> Knowledge:
     return Knowledge(
         base,
         Swings(values["swing_per_hour"], values["swing_power"], float(follows)),
-        UsualErrors(values["error_sizes"], values["error_mean"], runs),
+        UsualErrors(values["error_sizes"], values["error_mean"], values["error_doubt"], runs),
         values["left"],
         values["swing_evidence"],
         _shown(stored),
