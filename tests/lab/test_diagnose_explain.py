@@ -11,7 +11,7 @@ import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
-from flora_lab.diagnose.explain import CLAIM, MOST_CAUSES, Explainer, Explanation
+from flora_lab.diagnose.explain import CLAIM, CONSTANT_LESS, MOST_CAUSES, Explainer, Explanation
 from flora_lab.diagnose.joint import evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
@@ -110,7 +110,7 @@ def test_an_explanation_holds_together(which: str) -> None:
         assert best.hypothesis.names() == (*stage.before.hypothesis.names(), slow[0].effect.name)
     for one in explanation.accepted:
         assert one.tried is one.stage.tried[0]
-        assert one.tried.gain >= CLAIM
+        assert one.tried.gain >= CLAIM - (CONSTANT_LESS if one.tried.effect.is_of_constants else 0.0)
 
 
 def test_temperature_is_looked_at_where_it_is_told() -> None:
@@ -202,6 +202,20 @@ def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPa
         assert evidence_for_last(explanation.stages[0].before, fit) > CLAIM
         assert tried[name].gain <= 0.0
     assert not set(names(explanation)) & set(late)
+
+
+def test_less_is_asked_of_what_is_another_constant_of_the_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    of_constants = {effect.name for effect in CATALOGUE if effect.forms and effect.is_of_constants}
+    assert of_constants == {"growth_rate", "stiffening", "gravitropism", "proprioception", "phototropic_gain"}
+    slow: Effects = {"growth_rate": {"factor": 0.45}}
+    monkeypatch.setattr(explain, "CLAIM", 1000.0)
+    monkeypatch.setattr(explain, "CONSTANT_LESS", 995.0)
+    with one_blas_thread():
+        grown, unequal = (Explainer(scenes_of((80, 81), hidden), known()).explain() for hidden in (slow, UNEQUAL))
+    assert names(grown)[:1] == ("growth_rate",)
+    assert unequal.stages[0].tried[0].effect.name == "lamp_asymmetry"
+    assert 5.0 < unequal.stages[0].tried[0].gain < 1000.0
+    assert names(unequal) == ()
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)

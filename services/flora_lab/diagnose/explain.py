@@ -23,6 +23,9 @@ Array = npt.NDArray[Any]
 
 CLAIM: Final = 4.0
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
+CONSTANT_LESS: Final = 1.5
+"""Nats that it needs less where it is but another value of a plant's constant: how plants differ in these is measured,
+how wrong the law is in all else is only expected."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
 FORM: Final = 0.03
@@ -161,7 +164,11 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             stages.append(stage)
             best = stage.tried[0]
-            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name(self.nameless):
+            if (
+                best.gain < self._needed(best.effect, accepted)
+                or len(accepted) == MOST_CAUSES
+                or stage.has_no_name(self.nameless)
+            ):
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -186,11 +193,14 @@ class Explainer:
         beside = self._beside(stages[-1], accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
 
-    def _needed(self, accepted: Sequence[Accepted]) -> float:
-        """Nats that one cause more must have."""
+    def _claim_of(self, effect: Effect) -> float:
+        return self.claim - (CONSTANT_LESS if effect.is_of_constants else 0.0)
+
+    def _needed(self, effect: Effect, accepted: Sequence[Accepted]) -> float:
+        """Nats that this one must have as one cause more."""
         plants = [one.tried for one in accepted if one.tried.effect.where == "plant"]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in plants)
-        return self.claim + min(wrong, _MOST_OF_FORM)
+        return self._claim_of(effect) + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -203,7 +213,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= self.claim:
+            if found.evidence - less.evidence >= self._claim_of(earlier.tried.effect):
                 continue
             found = less
             accepted.remove(earlier)

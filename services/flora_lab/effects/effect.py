@@ -156,6 +156,13 @@ class Effect:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
+    def is_of_constants(self) -> bool:
+        """Whether it is but another value of constants in which plants differ anyway."""
+        change = Change()
+        self.forms[0](change, {p.name: p.high for p in self.parameters})
+        return self.where == "plant" and change.is_but_for_traits(Change())
+
+    @property
     def is_strong(self) -> bool:
         """Whether it shows in every run so much that a little of it is not worth a name."""
         return any(parameter.least > 0.0 for parameter in self.parameters)
