@@ -105,8 +105,8 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 bench-controllers: setup  ## what naming an effect is worth to controllers; twenty minutes (BENCH='--effects sag --kinds plan --json FILE')
 	@$(BIN)/python tests/bench/bench_controller_gain.py $(BENCH)
 
-discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 SEED=1 JOBS=2 ONLY=sag,draught)
-	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
+discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 FIRST=60 SEED=1 JOBS=2 ONLY=sag,draught)
+	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) $(if $(FIRST),--first $(FIRST)) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper

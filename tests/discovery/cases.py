@@ -6,7 +6,8 @@ interrupted judging goes on where it was.
 
 A quarter of the cases hide nothing, a tenth something outside the catalogue, an eighth two effects, the others one,
 each effect of the catalogue in turn; of all of these, a fifth have other physics. ``--kinds single:0,none:0`` judges
-only these kinds and forms, the cases shared evenly.
+only these kinds and forms, the cases shared evenly. ``--first 60`` stops after so many: they are shuffled, and any beginning
+of them is a fair sample.
 """
 
 from __future__ import annotations
@@ -246,6 +247,7 @@ def _only_draw(wanted: Sequence[Plan], folder: Path | None) -> None:
 def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="discovery", description="Judge flora-lab diagnose on hidden effects.")
     parser.add_argument("--cases", type=int, default=400)
+    parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="cases at a time, one thread each")
     parser.add_argument("--runs", type=int, default=3, help="measured runs of each case")
@@ -264,13 +266,13 @@ def main() -> int:
     options = _parsed()
 
     def work() -> None:
-        if min(options.cases, options.jobs, options.runs) < 1:
-            raise BadInput("--cases, --jobs and --runs must be at least 1")
+        if min(options.cases, options.jobs, options.runs, options.first or 1) < 1:
+            raise BadInput("--cases, --first, --jobs and --runs must be at least 1")
         effects = [name for name in options.effects.split(",") if name]
         for name in effects:
             if name not in ALL_EFFECTS:
                 raise BadInput(f"--effects: no effect `{name}`{did_you_mean(name, list(ALL_EFFECTS))}")
-        wanted = plans(options.cases, options.seed, options.runs, parse_kinds(options.kinds), effects)
+        wanted = plans(options.cases, options.seed, options.runs, parse_kinds(options.kinds), effects)[: options.first]
         if options.dry:
             _only_draw(wanted, options.keep)
             return

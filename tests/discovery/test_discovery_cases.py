@@ -82,6 +82,7 @@ def test_a_judging_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
         file.write('{"key": "torn')
     again = judged(tmp_path, *some)
     assert "2 of them in" in again.stdout
+    assert "1 cases, 1 of them in" in judged(tmp_path, *some, "--first", "1").stdout
     assert (tmp_path / "calls").read_text().count("called") == 2
 
 
@@ -109,6 +110,7 @@ def test_dry_writes_cases_and_judges_nothing(tmp_path: Path) -> None:
     ("arguments", "word"),
     [
         (["--cases", "0"], "at least 1"),
+        (["--first", "-1"], "at least 1"),
         (["--effects", "sagg"], "did you mean `sag`"),
         (["--dry"], "--keep"),
         (["--cases", "1", "--program", "/nowhere/flora-lab"], "cannot be started"),
