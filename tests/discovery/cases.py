@@ -6,8 +6,8 @@ interrupted judging goes on where it was.
 
 A quarter of the cases hide nothing, a tenth something outside the catalogue, an eighth two effects, the others one,
 each effect of the catalogue in turn; of all of these, a fifth have other physics. ``--kinds single:0,none:0`` judges
-only these kinds and forms, the cases shared evenly. ``--first 60`` stops after so many: they are shuffled, and any beginning
-of them is a fair sample.
+only these kinds and forms, the cases shared evenly. ``--first 60`` stops after so many: they are shuffled, and any
+beginning of them is a fair sample.
 """
 
 from __future__ import annotations
