@@ -39,7 +39,7 @@ WIDER: Final = 1.3
 LAW_SHARE: Final = 0.04
 _90: Final = 1.645
 _LEFT_P: Final = 0.003
-_MOSTLY: Final = 0.8
+_MOSTLY: Final = 0.6
 _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
 
