@@ -84,7 +84,7 @@ def test_runs_leave_no_more_than_chance() -> None:
     assert (known().left[:, 1] >= known().left[:, 0] - 1e-12).all()
     assert known().swing_evidence.shape == (len(REFERENCE),)
     assert (known().swing_evidence < 6.0).all()
-    assert known().errors.runs == len(REFERENCE)
+    assert known().base.runs == len(REFERENCE)
 
 
 def test_one_plant_like_no_other_does_not_tell_what_is_typical() -> None:

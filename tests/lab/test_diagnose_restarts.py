@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from flora_lab.diagnose import verdict
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.record import without
 from flora_lab.diagnose.restarts import LEAST_H, restarts_of, short_gaps
-from flora_lab.diagnose.scene import Answers, Lanes, Scene
+from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import load_run
 from flora_lab.simulator.measured import MeasuredRun, in_steps
@@ -31,18 +32,7 @@ def with_gap(run: MeasuredRun, folder: Path, *gaps_h: tuple[float, float]) -> Me
 
 def placed(run: MeasuredRun) -> MeasuredRun:
     """With lamps: a bare track does not tell where they hang."""
-    return MeasuredRun(
-        run.name,
-        run.plant,
-        run.sha256,
-        run.points_cm,
-        run.light,
-        run.time_s,
-        run.step_s,
-        run.covariates,
-        LAMPS,
-        run.unseen,
-    )
+    return replace(run, lamps=LAMPS)
 
 
 def quiet(light: Array, seed: int = 3) -> MeasuredRun:
@@ -91,19 +81,13 @@ def test_what_follows_a_gap_is_compared_with_the_stem_that_was_there(tmp_path: P
     run = placed(with_gap(quiet(light), tmp_path, (7.0, 13.5)))
     lanes = Lanes(TYPICAL[None], np.zeros((1, 2)), [Change()])
     off: list[float] = []
-    for scene in (Scene(run, LAW), Scene(placed(without_gaps(run)), LAW)):
+    for scene in (Scene(run, LAW), Scene(replace(run, unseen=()), LAW)):
         left, _ = scene.tips(TYPICAL, np.zeros(2), Change())
         after = left[round(13.6 * PER_H) :]
         off.append(float(np.nanmax(np.abs(after))))
         assert np.isfinite(scene.simulated(lanes)).all()
     assert off[0] < 0.5
     assert off[1] > 4.0 * off[0]
-
-
-def without_gaps(run: MeasuredRun) -> MeasuredRun:
-    return MeasuredRun(
-        run.name, run.plant, run.sha256, run.points_cm, run.light, run.time_s, run.step_s, run.covariates
-    )
 
 
 def test_rows_between_a_gap_and_the_new_start_are_not_compared(tmp_path: Path) -> None:
@@ -127,18 +111,13 @@ def test_the_law_goes_on_remembering_over_a_gap(tmp_path: Path) -> None:
     assert apart[16 * PER_H :].max() < 0.15
 
 
-def to_gaps(scene: Scene) -> tuple[Answers, Array]:
-    told = scene.answers(TYPICAL, Change())
-    return told, told.to_gaps
-
-
 def test_what_gaps_leave_unknown_is_as_large_as_it_may_be(tmp_path: Path) -> None:
     light = turns(24.0, 6.0)
     run = placed(with_gap(quiet(light), tmp_path, (11.74, 12.21)))
     scene = Scene(run, LAW)
     (gap,) = short_gaps(run, scene.steps)
     assert (gap.stop - gap.start) / PER_H <= LEAST_H
-    _, columns = to_gaps(scene)
+    columns = scene.answers(TYPICAL, Change()).to_gaps
     assert columns.shape == (scene.size, 1)
     lanes = Lanes(TYPICAL[None], np.zeros((1, 2)), [Change()])
     early = run.light.copy()
@@ -152,7 +131,7 @@ def test_what_gaps_leave_unknown_is_as_large_as_it_may_be(tmp_path: Path) -> Non
 
 def test_a_new_start_may_lean_or_bend_a_little(tmp_path: Path) -> None:
     scene = Scene(placed(with_gap(quiet(turns(24.0, 6.0)), tmp_path, (10.0, 13.5))), LAW)
-    _, columns = to_gaps(scene)
+    columns = scene.answers(TYPICAL, Change()).to_gaps
     (again,) = scene.restarts
     before = scene.time_h[scene.window] < again.step / PER_H - 0.5
     assert columns.shape == (scene.size, 2)

@@ -47,7 +47,7 @@ def at(name: str) -> int:
 
 def errors_of(sizes: np.ndarray, runs: int = 9) -> UsualErrors:
     doubt = np.diag(np.repeat(sizes, columns()) ** 2) / runs
-    return UsualErrors(sizes, np.zeros(len(doubt)), doubt, runs)
+    return UsualErrors(sizes, np.zeros(len(doubt)), doubt)
 
 
 def evidence_for(name: str, seeds: tuple[int, ...], knowledge: Knowledge, pushed: dict[str, float]) -> float:
@@ -127,7 +127,7 @@ def test_evidence_is_what_goes_beyond_healthy_runs() -> None:
 def test_what_happened_to_few_runs_by_chance_is_not_known_of_all() -> None:
     """The mean is known less well than runs scatter about it: to each something else happens besides."""
     errors = known().errors
-    assert (np.diag(errors.doubt) > np.repeat(errors.sizes, columns()) ** 2 / errors.runs).all()
+    assert (np.diag(errors.doubt) > np.repeat(errors.sizes, columns()) ** 2 / known().base.runs).all()
     assert np.linalg.eigvalsh(errors.doubt)[0] > 0.0
     scene = scene_of(1)
     one, many = (errors.of_run(scene, TYPICAL, Change(), together)[1] for together in (1, 9))

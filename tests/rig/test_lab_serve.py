@@ -40,7 +40,7 @@ def write_simulator(path: Path) -> None:
     known = Knowledge(
         base,
         Swings(np.array([0.1, 0.6]), np.array([1.0, 0.1]), 1.0),
-        UsualErrors(errors, np.zeros(len(doubt)), doubt, 9),
+        UsualErrors(errors, np.zeros(len(doubt)), doubt),
         np.ones((9, 2)),
         np.zeros(9),
         ReferenceResiduals(shown, np.linspace(0.9, 1.1, 9)),

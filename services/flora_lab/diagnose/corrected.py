@@ -13,7 +13,7 @@ from flora_common.runs import LIGHTS, Light, track_text
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.joint import Found
-from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import RunTrack
 
 Array = npt.NDArray[Any]
@@ -38,7 +38,7 @@ def corrected_text(run: RunTrack, change: Change) -> str:
     """A track as it would have been recorded rightly."""
     track = run.track
     hours = (track.time_s - track.time_s[0]) / 3600.0
-    turn = -np.radians(change.turn_deg + change.drift_deg * hours / RUN_H)
+    turn = -change.turned_rad(hours)
     points = track.points_cm / change.scale
     x, y = points[..., 0], points[..., 1]
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]

@@ -127,7 +127,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     considered: list[dict[str, float]] = []
     """Nats that each cause of the catalogue would have gained, in each round of the search."""
     needed_nats: float = 0.0
-    """That one must have to be named; less by a half or so for what is but another constant of the plant."""
+    """That one must have to be named; 1.5 fewer for what is but another constant of the plant."""
     base: dict[str, Any] = {}
     """What the simulator was learned from, and what is known of it."""
     format: int = 1

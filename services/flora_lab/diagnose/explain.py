@@ -246,10 +246,11 @@ class Explainer:
             if own.gain > 0.0:
                 tried.insert(place, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
-        is_first = swing is None and not before.hypothesis.causes
-        if is_first and found.has_no_name(self.nameless):
+        if swing is not None or before.hypothesis.causes:
+            return found
+        if found.has_no_name(self.nameless):
             return self._again(joint, found, lambda one: one.misfit > before.misfit + 1.0)
-        if is_first and self._leaves_much(found):
+        if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
         return found
 
@@ -259,8 +260,7 @@ class Explainer:
         return self._is_much(best)
 
     def _is_much(self, fit: Found) -> bool:
-        left = np.mean([np.mean(residual**2) for residual in fit.residuals])
-        return bool(left > _MUCH * self.known.left[:, 0].mean())
+        return bool(fit.left > _MUCH * self.known.left[:, 0].mean())
 
     @staticmethod
     def _again(joint: Joint, stage: Stage, is_lost: Callable[[Found], bool]) -> Stage:

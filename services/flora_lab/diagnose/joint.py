@@ -128,6 +128,11 @@ class Found:
     residuals: list[Array] = field(default_factory=list)
     jacobians: list[Array] = field(default_factory=list)
 
+    @property
+    def left(self) -> float:
+        """Mean square of what is left of the runs, in units of chance; each counts as much."""
+        return float(np.mean([np.mean(residual**2) for residual in self.residuals]))
+
     def values(self) -> list[dict[str, float]]:
         """Parameters of each cause by name."""
         causes, shares = self.hypothesis.causes, self.hypothesis.shares(self.coordinates)

@@ -68,8 +68,7 @@ def _jumps(run: MeasuredRun) -> Array:
     half = _ABOUT_ROWS // 2
     around = _around(own)
     away = np.hypot(*(own - np.median(around, axis=-1)).T)
-    usual = _MAD_SD * float(np.median(away))
-    is_far = away > max(_LEAST_JUMP_CM, _JUMP_MADS * usual)
+    is_far = away > max(_LEAST_JUMP_CM, _JUMP_MADS * _usual(away))
     # A wide swing turns back within minutes, too, but smoothly: a parabola runs through it, and through no jump.
     parabolas = np.linalg.qr(np.vander(np.arange(_ABOUT_ROWS, dtype=np.float64) - half, 3))[0]
     rough = np.sqrt(np.mean((around - around @ parabolas @ parabolas.T) ** 2, axis=-1).sum(axis=-1))
@@ -88,9 +87,13 @@ def _kinks(run: MeasuredRun) -> Array:
         return out
     kink = np.diff(run.points_cm[rows, -3:, 0], n=2, axis=1)
     away = np.abs(kink - np.median(_around(kink), axis=-1))[:, 0]
-    usual = _MAD_SD * float(np.median(away))
-    out[rows] = away > max(_LEAST_KINK_CM, _KINK_MADS * usual)
+    out[rows] = away > max(_LEAST_KINK_CM, _KINK_MADS * _usual(away))
     return out
+
+
+def _usual(away: Array) -> float:
+    """Standard deviation of what is away from its middle, but for few that are far."""
+    return _MAD_SD * float(np.median(away))
 
 
 def _around(values: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.scene import Lanes, Scene, late_light
 from flora_lab.diagnose.virtual_plants import tips_between
-from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.effects.effect import Change
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
 from flora_lab.simulator.terms import Seen, undriven
@@ -138,7 +138,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
         driven = undriven(light[row : row + 1, None], scene.warmth_c[row : row + 1, None])
         seen_by = Seen(np.zeros((0, 1)), np.ones(1))
         scene.law.advance_with(walker, own, terms[None], driven, seen_by, scene.step_h, 2, nothing)
-    turn = np.radians(change.turn_deg + change.drift_deg * rows * scene.step_h / RUN_H)
+    turn = change.turned_rad(rows * scene.step_h)
     length, angle, count = rods_through(points[rows])
     stems = Stems(length / change.scale, angle - turn[:, None], count, memories)
     lanes = len(rows)

@@ -48,12 +48,13 @@ def restarts_of(run: MeasuredRun, steps: int, every: int) -> list[Restart]:
         steps: that are simulated.
         every: restarts lie at multiples of so many steps, for only these are told.
     """
-    step_h = run.step_s / 3600.0
     measured = run.is_measured
-    dwell_h = _short_dwell_h(run.light, step_h)
+    dwell_h = _short_dwell_h(run)
     out: list[Restart] = []
     for gap in run.unseen:
-        if not _is_doubtful(gap, step_h, dwell_h) or (out and gap.start < out[-1].step):
+        if _hours(gap, run) <= (LEAST_H if gap.changes else max(LEAST_H, dwell_h)) or (
+            out and gap.start < out[-1].step
+        ):
             continue
         after = np.arange(-(-(gap.stop + 2) // every) * every, min(steps, len(run) - 1), every)
         sound = [row for row in after if measured[row - 1 : row + 2].all()]
@@ -65,17 +66,15 @@ def restarts_of(run: MeasuredRun, steps: int, every: int) -> list[Restart]:
 
 def short_gaps(run: MeasuredRun, steps: int) -> list[UnseenLight]:
     """Gaps in which a lamp changed some minutes earlier or later, in order of time, within the first ``steps``."""
-    step_h = run.step_s / 3600.0
-    return [g for g in run.unseen if g.changes and g.start < steps and (g.stop - g.start) * step_h <= LEAST_H]
+    return [gap for gap in run.unseen if gap.changes and gap.start < steps and _hours(gap, run) <= LEAST_H]
 
 
-def _is_doubtful(gap: UnseenLight, step_h: float, dwell_h: float) -> bool:
-    hours = (gap.stop - gap.start) * step_h
-    return hours > (LEAST_H if gap.changes else max(LEAST_H, dwell_h))
+def _hours(gap: UnseenLight, run: MeasuredRun) -> float:
+    return (gap.stop - gap.start) * run.step_s / 3600.0
 
 
-def _short_dwell_h(light: Array, step_h: float) -> float:
+def _short_dwell_h(run: MeasuredRun) -> float:
     """For how long at least a lamp nearly always shines; infinite where too few changes tell."""
-    changes = np.flatnonzero((np.diff(light, axis=0) != 0.0).any(axis=1))
+    changes = np.flatnonzero((np.diff(run.light, axis=0) != 0.0).any(axis=1))
     dwells = np.diff(changes)
-    return float(np.percentile(dwells, _SHORT_DWELL)) * step_h if len(dwells) else np.inf
+    return float(np.percentile(dwells, _SHORT_DWELL)) * run.step_s / 3600.0 if len(dwells) else np.inf

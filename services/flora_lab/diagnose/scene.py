@@ -16,7 +16,7 @@ import numpy.typing as npt
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.first_stem import first_stem
 from flora_lab.diagnose.restarts import restarts_of, short_gaps
-from flora_lab.effects.effect import RUN_H, Change
+from flora_lab.effects.effect import Change
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.shape import rods_through
@@ -284,8 +284,7 @@ class Scene:
         lanes = len(changes)
         scale = np.array([change.scale for change in changes])
         arc = np.cumsum(length[0]) / length[0].sum() - 0.5
-        share = step * self.step_h / RUN_H
-        turned = np.radians([change.turn_deg + change.drift_deg * share for change in changes])
+        turned = np.stack([change.turned_rad(np.array(step * self.step_h)) for change in changes])
         stood = np.repeat(angle, lanes, axis=0) + bend[:, :1] + bend[:, 1:] * arc[None] - turned[:, None]
         return Stems(np.repeat(length, lanes, axis=0) / scale[:, None], stood, np.repeat(count, lanes), memory)
 
@@ -293,8 +292,8 @@ class Scene:
         self, changes: Sequence[Change], every: int, shone: Sequence[Array] | None
     ) -> tuple[Array, Array, Array, Array]:
         """Turn (steps, lanes), scale (lanes,), terms (lanes, 19) and light (steps, lanes, 2) of changes."""
-        share = (np.arange(self.steps // every) + 1) * every * self.step_h / RUN_H
-        turn = np.stack([np.radians(c.turn_deg + c.drift_deg * share) for c in changes], axis=1)
+        time_h = (np.arange(self.steps // every) + 1) * every * self.step_h
+        turn = np.stack([c.turned_rad(time_h) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])
         terms = np.stack([self.terms_with(c) for c in changes])
         if shone is not None:

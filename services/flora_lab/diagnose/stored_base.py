@@ -160,7 +160,7 @@ def read_known(stored: Stored) -> Knowledge:
     return Knowledge(
         base,
         Swings(values["swing_per_hour"], values["swing_power"], float(follows)),
-        UsualErrors(values["error_sizes"], values["error_mean"], values["error_doubt"], runs),
+        UsualErrors(values["error_sizes"], values["error_mean"], values["error_doubt"]),
         values["left"],
         values["swing_evidence"],
         _shown(stored),

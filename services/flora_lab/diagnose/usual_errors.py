@@ -44,17 +44,11 @@ they may be from it in all plants."""
 _DOUBT: Final = 1.0
 """Standard deviation of the logarithm of that."""
 _SURER: Final[dict[str, float]] = dict.fromkeys(("camera_roll", "camera_drift"), 0.4)
-"""The same where it is known better: nine runs alone tell of the same kind of plants that they lean by 0.3 or by 1.4
-degrees."""
+"""The same where it is known better: how much plants lean by themselves is told badly by nine runs."""
 _LEAST, _MOST = 0.05, 60.0
 """How far sizes may go from what is expected, as factors."""
 _LEFT_OUT: Final = (
-    # By how much plants differ in these is known of the base, and is not counted twice.
-    "growth_rate",
-    "stiffening",
-    "gravitropism",
-    "proprioception",
-    "phototropic_gain",
+    # Acts on constants, as those do that are left out for it: see :func:`effects`.
     "time_scale",
     # The same as clock_offset.
     "phototropic_latency",
@@ -71,8 +65,12 @@ def strength_of(effect: Effect) -> int:
 
 @functools.cache
 def effects() -> tuple[Effect, ...]:
-    """Along which runs are pushed."""
-    return (*(effect for effect in CATALOGUE if effect.name not in _LEFT_OUT), *FORMS)
+    """Along which runs are pushed.
+
+    By how much plants differ in their constants is known of the base, and is not counted twice.
+    """
+    others = (effect for effect in CATALOGUE if effect.name not in _LEFT_OUT and not effect.is_of_constants)
+    return (*others, *FORMS)
 
 
 @functools.cache
@@ -110,13 +108,11 @@ class UsualErrors:
             (causes,).
         mean: of all runs, by column of :func:`directions`, shape (columns,).
         doubt: of the mean, shape (columns, columns): what happened to so few runs by chance looks like errors of all.
-        runs: that this was learned from.
     """
 
     sizes: Array
     mean: Array
     doubt: Array
-    runs: int
 
     def whole(self) -> Array:
         """How far a run is pushed along each effect, of which nothing else is known, root mean square, (causes,)."""
@@ -208,13 +204,13 @@ def usual_errors(runs: Sequence[Ready], fits: Sequence[Found], base: Base) -> Us
     nearer = _of_sizes(told, sizes, means)[1][np.repeat(causes(), columns()) == NEARER.name]
     scale = causes().index("camera_scale")
     sizes[scale] = np.hypot(sizes[scale], np.abs(nearer).max())
-    _, mean, doubt = _of_sizes(told, sizes, means)
-    return UsualErrors(sizes, mean, doubt, len(runs))
+    _, mean, information = _of_sizes(told, sizes, means)
+    return UsualErrors(sizes, mean, np.linalg.inv(information))
 
 
 def _of_sizes(told: Sequence[tuple[Array, Array]], sizes: Array, means: Array) -> tuple[float, Array, Array]:
-    """How improbable runs are if errors scatter so much, and the mean of the errors, the most probable one, shape
-    (columns,), and how well it is known, shape (columns, columns)."""
+    """How improbable runs are if errors scatter so much, the most probable mean of the errors, shape (columns,), and
+    how precisely that is known: the inverse of its covariance, shape (columns, columns)."""
     size = np.repeat(sizes, columns())
     # Before any data the mean is as wide as what is expected of it, and as the scatter.
     before = np.diag(1.0 / (np.repeat(means, columns()) ** 2 + size**2))
@@ -230,7 +226,7 @@ def _of_sizes(told: Sequence[tuple[Array, Array]], sizes: Array, means: Array) -
         pull += drawn - reached[:, :-1].T @ reached[:, -1]
     mean = np.linalg.solve(information, pull)
     total += 0.5 * float(np.linalg.slogdet(information)[1] - np.linalg.slogdet(before)[1] - pull @ mean)
-    return total, mean, np.linalg.inv(information)
+    return total, mean, information
 
 
 def _told(own: Ready, fit: Found, base: Base) -> tuple[Array, Array]:

@@ -84,10 +84,7 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
         p_values.append(float(scipy.stats.t.sf(t, len(usual) - 1)))
         shares.append(float(np.exp(mine.mean() - usual.mean())))
     healthy = float(known.left[:, 0].mean())
-    before, after = (
-        max(0.0, float(np.mean([np.mean(r**2) for r in fit.residuals])) - healthy)
-        for fit in (explanation.stages[0].before, explanation.found)
-    )
+    before, after = (max(0.0, fit.left - healthy) for fit in (explanation.stages[0].before, explanation.found))
     explained = 1.0 - after / before if before > 0.0 else 0.0
     return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained, explanation.unnamed)
 

@@ -116,6 +116,10 @@ class Change:
         """Multiply one of the plant's constants."""
         self.traits[NAMES.index(trait)] += np.log(factor)
 
+    def turned_rad(self, time_h: Array) -> Array:
+        """How far pictures are turned at some times since the start of the run, h."""
+        return np.asarray(np.radians(self.turn_deg + self.drift_deg * time_h / RUN_H))
+
     def is_but_for_traits(self, other: Change) -> bool:
         """Whether it is the same as another one, whatever both do to the plant's constants."""
         mine, its = (

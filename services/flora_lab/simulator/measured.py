@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -80,17 +80,11 @@ class MeasuredRun:
 
     def mirrored(self) -> MeasuredRun:
         """Left and right exchanged."""
-        return MeasuredRun(
-            self.name,
-            self.plant,
-            self.sha256,
-            self.points_cm * np.array([-1.0, 1.0]),
-            self.light[:, ::-1].copy(),
-            self.time_s,
-            self.step_s,
-            self.covariates,
-            self.lamps,
-            tuple(UnseenLight(u.start, u.stop, u.before[::-1], u.after[::-1]) for u in self.unseen),
+        return replace(
+            self,
+            points_cm=self.points_cm * np.array([-1.0, 1.0]),
+            light=self.light[:, ::-1].copy(),
+            unseen=tuple(replace(gap, before=gap.before[::-1], after=gap.after[::-1]) for gap in self.unseen),
         )
 
 

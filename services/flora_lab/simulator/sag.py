@@ -72,17 +72,14 @@ def settle(length: Array, angle: Array, n: int, sag: float, before: Array) -> No
         sag: see :func:`elastic_bends`.
         before: bends that are in its angles already, rad, shape (CAPACITY,).
     """
-    grown, now, compliance = (
-        scratch(np.float64, CAPACITY),
-        scratch(np.float64, CAPACITY),
-        scratch(np.float64, CAPACITY),
-    )
+    grown, now = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     bent, moved = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    compliance = scratch(np.float64, CAPACITY)
     _compliance(length, n, sag, compliance)
     for j in range(n):
         grown[j] = bent[j] = angle[j]
         moved[j] = 0.0
-    for times in range(_MOST_TIMES):
+    for _ in range(_MOST_TIMES):
         _bends(length, angle, n, compliance, now)
         turn = farthest = along_change = of_change = 0.0
         for j in range(n):
@@ -91,14 +88,14 @@ def settle(length: Array, angle: Array, n: int, sag: float, before: Array) -> No
             move = now[j] - angle[j]
             farthest = max(farthest, abs(move))
             change = move - moved[j]
+            moved[j] = move
             along_change += change * move
             of_change += change * change
         # Only forwards: where bends grow, what two of them point to is where a stem stands that the least push fells.
-        share = min(max(along_change / of_change, -_FARTHEST), 0.0) if times > 0 and of_change > _TINY else 0.0
+        share = min(max(along_change / of_change, -_FARTHEST), 0.0) if of_change > _TINY else 0.0
         is_still = farthest < _STILL
         for j in range(n):
-            old_bent, moved[j] = bent[j], now[j] - angle[j]
+            angle[j] = now[j] if is_still else now[j] - share * (now[j] - bent[j])
             bent[j] = now[j]
-            angle[j] = now[j] if is_still else now[j] - share * (now[j] - old_bent)
         if is_still:
             break
