@@ -13,8 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
-import scipy.optimize
 
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.rhythm import Swing
@@ -81,10 +79,6 @@ MEASURED: Final = ("measure", "lean", "bow")
 """Errors of the measurement: of each point by itself, or of the stem as a whole, that leans or is bent too much."""
 _SWING_MARGIN: Final = 1.3
 _SWING_LEFT: Final = 0.05
-_ROUNDING: Final = 1e-9
-_LEAST: Final = 0.05
-_MOST: Final = 20.0
-"""How far sizes may go from what is expected, as factors."""
 
 
 def sizes_expected() -> Array:
@@ -163,48 +157,6 @@ def _alike(scene: Scene, drive: str) -> Array:
         together = (axes[:, None] == axes[None, :]).astype(np.float64)
     of_features = together * share[:, None] * share[None, :]
     return np.asarray(of_features[scene.feature[:, None], scene.feature[None, :]])
-
-
-def sizes_of(residuals: Sequence[Array], parts: Sequence[Array], known: Sequence[Array], start: Array) -> Array:
-    """The sizes under which residuals are most probable.
-
-    Args:
-        residuals: measured minus what the typical plant does, one per run, shape (m,).
-        parts: of the same runs, see :func:`covariances`.
-        known: covariance that is there besides, shape (m, m): that plants differ.
-        start: sizes to begin with, shape (19,).
-
-    Returns:
-        Sizes, shape (19,).
-    """
-    middle = np.log(sizes_expected())
-    doubt = np.array([part.doubt for part in PARTS])
-    low = np.log(np.maximum(_LEAST * sizes_expected(), [part.least for part in PARTS]))
-    high = middle + np.log(_MOST)
-
-    def improbability(log_sizes: Array) -> tuple[float, Array]:
-        variances = np.exp(2.0 * log_sizes)
-        away = (log_sizes - middle) / doubt
-        total, slope = 0.5 * float(away @ away), away / doubt
-        for residual, own, besides in zip(residuals, parts, known, strict=True):
-            whole = np.tensordot(variances, own, axes=1) + besides
-            whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
-            root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
-            inverse = scipy.linalg.cho_solve((root, True), np.eye(len(root)), check_finite=False)
-            pull = inverse @ residual
-            total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
-            slope = slope + variances * (own.reshape(len(PARTS), -1) @ (inverse - np.outer(pull, pull)).ravel())
-        return total, slope
-
-    found = scipy.optimize.minimize(
-        improbability,
-        np.clip(np.log(start), low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxiter": 40, "ftol": 1e-6},
-    )
-    return np.asarray(np.exp(found.x))
 
 
 def as_dict(sizes: Array) -> Mapping[str, float]:

@@ -8,22 +8,18 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
-from flora_lab.diagnose import chance
-from flora_lab.diagnose.joint import TRAITS, Base, Found, Joint, Ready, ready
-from flora_lab.diagnose.scene import START_SD, Scene
+from flora_lab.diagnose import chance, marginal
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
+from flora_lab.diagnose.marginal import Linear
+from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
 
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
-SPREAD_STRENGTH: Final = 20.0
-"""What the sources say of how differently plants differ in each constant counts as much as this many plants."""
-SIZE_STRENGTH: Final = 3.0
-"""What they say of how much plants differ in all, as this many."""
-_POPULATION_STEPS: Final = 40
+_TURNS: Final = 2
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
 _FIRST_SD: Final = np.array([0.08, 0.06])
@@ -38,26 +34,6 @@ _DOUBTS: Final = {
     "photo_latency_min": 0.7,
 }
 """Plants other than those that the sources measured are let in: what is not told by the runs matters little."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Linear:
-    """A run about the typical plant: all is linear there.
-
-    Attributes:
-        residual: measured minus what the typical plant does, shape (m,).
-        slopes: of the features by the plant's own unknowns, shape (m, 11).
-        parts: covariances of what happens by chance, per unit, shape (19, m, m).
-    """
-
-    residual: Array
-    slopes: Array
-    parts: Array
-
-    def of_plants(self, spread: Array) -> Array:
-        """Covariance because plants differ, and because the first stem is not known exactly, shape (m, m)."""
-        own = scipy.linalg.block_diag(spread, np.diag(START_SD**2))
-        return np.asarray(self.slopes @ own @ self.slopes.T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,14 +82,15 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned) -> Learned:
     iterations = 12 if number == 1 else 5
     fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
     fits = _from_the_middle(runs, alone, fits)
-    base = _population(_near(fits) if number < ROUNDS else fits, _known_doubt(), so_far.base)
     parts = [
         chance.covariances(scene, scene.answers(fit.traits[0], Change()))
         for scene, fit in zip(scenes, fits, strict=True)
     ]
-    linear = [_about_typical(base, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
-    base = _with_chance(linear, base)
-    return Learned(base, fits, parts, _evidence(linear, base), number)
+    linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
+    near = {id(fit) for fit in _near(fits)}
+    base = _population([one for one, fit in zip(linear, fits, strict=True) if id(fit) in near], so_far.base)
+    evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
+    return Learned(base, fits, parts, evidence, number)
 
 
 def _known_doubt() -> Array:
@@ -144,74 +121,22 @@ def _near(fits: Sequence[Found]) -> list[Found]:
     return [fit for fit, one in zip(fits, away, strict=True) if (one / usual).max() <= _FAR_OFF]
 
 
-def _population(fits: Sequence[Found], known_doubt: Array, base: Base) -> Base:
-    """Mean and spread over plants: what the sources say, weighed against what the plants say.
-
-    Expectation maximisation (Dempster, Laird and Rubin 1977) about the fits, where all is taken for linear. How much
-    plants differ in all is told well by nine of them; in what they differ more than in the rest is not, so that each
-    constant alone may only go little from what the sources say of it.
-    """
-    count = len(fits)
-    plants = [_told_of(fit) for fit in fits]
-    known_mean, known_spread = prior_mean(), prior_spread()
-    mean, spread = base.mean, base.spread
-    for _ in range(_POPULATION_STEPS):
-        held = np.linalg.inv(spread)
-        within = [np.linalg.inv(told + held) for told, _ in plants]
-        values = np.stack([own @ (pull + held @ mean) for own, (_, pull) in zip(within, plants, strict=True)])
-        weight = known_doubt @ np.linalg.inv(known_doubt + spread / count)
-        mean = known_mean + weight @ (values.mean(axis=0) - known_mean)
-        away = values - mean
-        scatter = away.T @ away + np.sum(within, axis=0)
-        told_wider = float(np.median(np.diag(scatter) / np.diag(known_spread)))
-        wider = (told_wider + SIZE_STRENGTH) / (count + SIZE_STRENGTH)
-        spread = (scatter + SPREAD_STRENGTH * wider * known_spread) / (count + SPREAD_STRENGTH)
-    doubt = np.linalg.inv(known_doubt)
-    for told, _ in plants:
-        doubt = doubt + told @ np.linalg.inv(np.eye(TRAITS) + spread @ told)
-    return replace(base, mean=mean, spread=spread, doubt=np.linalg.inv(doubt))
-
-
-def _told_of(fit: Found) -> tuple[Array, Array]:
-    """What a run alone tells of its plant: precision of the traits (9, 9), and that times the estimate (9,).
-
-    That the first stem is not known exactly is in it.
-    """
-    jacobian, residual = fit.jacobians[0], fit.residuals[0]
-    whole = jacobian.T @ jacobian
-    whole[TRAITS:, TRAITS:] += np.diag(START_SD**-2.0)
-    downhill = jacobian.T @ residual
-    downhill[TRAITS:] -= fit.start[0] / START_SD**2
-    share = whole[:TRAITS, TRAITS:] @ np.linalg.inv(whole[TRAITS:, TRAITS:])
-    told = whole[:TRAITS, :TRAITS] - share @ whole[TRAITS:, :TRAITS]
-    return told, told @ fit.traits[0] + downhill[:TRAITS] - share @ downhill[TRAITS:]
-
-
-def _about_typical(base: Base, run: Ready, fit: Found, parts: Array) -> _Linear:
-    """A run, from its own fit carried on to the typical plant: linear, because that plant may stand elsewhere."""
+def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
+    """A run, from its own fit carried on to any plant: linear, because the typical one may stand elsewhere."""
     scene = run.scene
-    told, slopes = Joint([run], base.of_single_runs()).features_of(fit, 0)
+    told, slopes = Joint([run], alone).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
-    away = np.concatenate([fit.traits[0] - base.mean, fit.start[0]])
-    return _Linear(scene.features - told + slopes @ away, slopes, parts)
+    return Linear(scene.features - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]]), slopes, parts)
 
 
-def _with_chance(runs: Sequence[_Linear], base: Base) -> Base:
-    """Sizes of what happens by chance."""
-    known = [run.of_plants(base.spread) for run in runs]
-    sizes = chance.sizes_of([run.residual for run in runs], [run.parts for run in runs], known, base.sizes)
-    return replace(base, sizes=sizes)
-
-
-def _evidence(runs: Sequence[_Linear], base: Base) -> float:
-    """Of all runs, each about the typical plant, by what plants differ in and what happens by chance."""
-    total = 0.0
-    for run in runs:
-        whole = np.tensordot(base.sizes**2, run.parts, axes=1) + run.of_plants(base.spread + base.doubt)
-        root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
-        white = scipy.linalg.solve_triangular(root, run.residual, lower=True, check_finite=False)
-        total -= float(np.log(np.diag(root)).sum() + 0.5 * white @ white)
-    return total
+def _population(runs: Sequence[Linear], base: Base) -> Base:
+    """What is known of plants after some runs; what is typical and how plants differ take turns."""
+    known = prior_mean(), _known_doubt()
+    mean, _ = marginal.typical(runs, base.sizes, base.spread, known)
+    for _ in range(_TURNS):
+        sizes, spread = marginal.sizes_and_spread(runs, mean, base.sizes)
+        mean, doubt = marginal.typical(runs, sizes, spread, known)
+    return replace(base, mean=mean, spread=spread, doubt=doubt, sizes=sizes)
 
 
 def _firsts(scenes: Sequence[Scene]) -> tuple[Array, Array]:

@@ -31,21 +31,21 @@ class Parameter:
 
 
 PARAMETERS: Final = (
-    Parameter("growth_early_cm_per_day", 3.0, 0.4, 0.15, "Checa et al. 2008 through Wahby et al. 2018: 3 cm/day"),
-    Parameter("growth_late_cm_per_day", 7.0, 0.3, 0.15, "Wahby et al. 2018: to 21 cm in 72 h, about 7 cm/day late"),
-    Parameter("growth_zone_cm", 6.0, 0.3, 0.12, "Bastien et al. 2015: growth zones of stems of a few cm"),
-    Parameter("stiffening_cm", 5.0, 0.15, 0.12, "Ohad et al., 54 plants: e-fold of the modulus 5.0 cm (3.5-6.3)"),
-    Parameter("mature_cm", 13.0, 0.3, 0.12, "estimate: the stems of Wahby et al. 2018 keep their curve for days"),
-    Parameter("photoception_per_cm_h", 0.3, 0.7, 0.15, "Bastien et al. 2015: ratio to graviception of order one"),
-    Parameter("graviception_per_cm_h", 0.3, 0.7, 0.15, "Bastien et al. 2013: beta * L_gz / gamma below 2.8"),
-    Parameter("proprioception_per_h", 0.7, 0.7, 0.15, "Bastien et al. 2013: curvature decays within hours"),
-    Parameter("photo_latency_min", 20.0, 0.5, 0.30, "Arabidopsis, buckwheat: a few minutes to about 60 min"),
+    Parameter("growth_early_cm_per_day", 3.0, 0.4, 0.13, "Checa et al. 2008 through Wahby et al. 2018: 3 cm/day"),
+    Parameter("growth_late_cm_per_day", 7.0, 0.3, 0.13, "Wahby et al. 2018: to 21 cm in 72 h, about 7 cm/day late"),
+    Parameter("growth_zone_cm", 6.0, 0.3, 0.13, "Bastien et al. 2015: growth zones of stems of a few cm"),
+    Parameter("stiffening_cm", 5.0, 0.15, 0.13, "Ohad et al., 54 plants: e-fold of the modulus 5.0 cm (3.5-6.3)"),
+    Parameter("mature_cm", 13.0, 0.3, 0.13, "estimate: the stems of Wahby et al. 2018 keep their curve for days"),
+    Parameter("photoception_per_cm_h", 0.3, 0.7, 0.13, "Bastien et al. 2015: ratio to graviception of order one"),
+    Parameter("graviception_per_cm_h", 0.3, 0.7, 0.13, "Bastien et al. 2013: beta * L_gz / gamma below 2.8"),
+    Parameter("proprioception_per_h", 0.7, 0.7, 0.13, "Bastien et al. 2013: curvature decays within hours"),
+    Parameter("photo_latency_min", 20.0, 0.5, 0.20, "Arabidopsis, buckwheat: a few minutes to about 60 min"),
 )
 """In the order of the columns in :mod:`flora_lab.simulator.tropism`."""
 
 NAMES: Final = tuple(p.name for p in PARAMETERS)
 
-VIGOUR: Final = 0.6
+VIGOUR: Final = 0.3
 """Correlation of the two rates of growth between plants before any data: an estimate."""
 
 
