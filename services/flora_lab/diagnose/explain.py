@@ -21,17 +21,17 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 4.0
+CLAIM: Final = 3.5
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
-CONSTANT_LESS: Final = 1.5
+CONSTANT_LESS: Final = 0.5
 """Nats that it needs less where it is but another value of a plant's constant: how plants differ in these is measured,
 how wrong the law is in all else is only expected."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
-FORM: Final = 0.03
+FORM: Final = 0.015
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
-looks like something else. A camera or a clock that is off has no form."""
-_MOST_OF_FORM: Final = 20.0
+looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
+_MOST_OF_FORM: Final = 10.0
 """Nats that this comes to at most."""
 OF_A_SWING: Final = 0.002
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
@@ -198,8 +198,8 @@ class Explainer:
 
     def _needed(self, effect: Effect, accepted: Sequence[Accepted]) -> float:
         """Nats that this one must have as one cause more."""
-        plants = [one.tried for one in accepted if one.tried.effect.where == "plant"]
-        wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in plants)
+        formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
+        wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
         return self._claim_of(effect) + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
@@ -357,6 +357,11 @@ def _is_worth_a_name(fit: Found) -> bool:
     """Whether the last cause of a fit is large enough to matter."""
     values = fit.values()[-1]
     return all(p.is_worth_a_name(values[p.name]) for p in fit.hypothesis.causes[-1].effect.parameters)
+
+
+def _has_form(effect: Effect) -> bool:
+    """Whether nature may do it otherwise than our term does."""
+    return effect.where == "plant" and not effect.is_of_constants
 
 
 def _side_by_side(alone: Sequence[Found]) -> Found:
