@@ -16,17 +16,18 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-import tomli_w
+import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.lock import AlreadyHeld, hold
 from flora_common.runs import track_text
-from flora_common.toml_strict import read_toml
+from flora_common.toml_strict import to_toml
 from flora_lab.evaluate.plan import Plan
 from flora_lab.evaluate.trial import Trial
+from flora_lab.made_folders import read_info
 from flora_lab.stopped_work import check_same_work
 
 INFO_FILE: Final = "evaluation.toml"
@@ -36,6 +37,18 @@ EPISODES: Final = "episodes"
 RUNS: Final = "runs"
 LOCK_FILE: Final = ".lock"
 FORMAT: Final = "flora-evaluation-1"
+
+
+class EvaluationFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``evaluation.toml``.
+
+    Attributes:
+        format: :data:`FORMAT`.
+        work: what makes it this evaluation, see :attr:`flora_lab.evaluate.plan.Plan.work`.
+    """
+
+    format: str
+    work: dict[str, Any]
 
 
 def check_folder(path: Path, plan: Plan) -> None:
@@ -51,11 +64,7 @@ def check_folder(path: Path, plan: Plan) -> None:
     info = path / INFO_FILE
     if not info.is_file():
         raise BadInput(f"{path}: holds other files, and is no evaluation; name a new folder with -o")
-    table = read_toml(info, BadInput)
-    if table.get("format") != FORMAT:
-        found = str(table.get("format"))[:40]
-        raise BadInput(f"{info}: format {found} is not known; this program reads {FORMAT}")
-    check_same_work(path, table.get("work", {}), plan.work, "name another folder with -o")
+    check_same_work(path, read_info(info, EvaluationFile, FORMAT).work, plan.work, "name another folder with -o")
 
 
 @contextlib.contextmanager
@@ -80,7 +89,7 @@ def held(path: Path, plan: Plan) -> Iterator[Path]:
 
 def info_text(plan: Plan) -> str:
     """``evaluation.toml``."""
-    return tomli_w.dumps({"format": FORMAT, "work": plan.work})
+    return to_toml(EvaluationFile(FORMAT, dict(plan.work)))
 
 
 def write_results(path: Path, plan: Plan, trials: Sequence[Trial], results: Mapping[str, str]) -> None:

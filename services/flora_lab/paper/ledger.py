@@ -10,7 +10,8 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
-from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_common.toml_strict import to_toml
+from flora_lab.made_folders import read_info
 
 FORMAT: Final = "flora-paper-1"
 STEPS_FILE: Final = "steps.toml"
@@ -86,10 +87,7 @@ def read_ledger(folder: Path) -> Ledger:
     path = folder / STEPS_FILE
     if not path.exists():
         return Ledger(folder, {})
-    table = read_toml(path, BadInput)
-    if table.get("format") != FORMAT:
-        raise BadInput(f"{path}: format {str(table.get('format'))[:30]} is not known; this program reads {FORMAT}")
-    found = convert(table, StepsFile, where=str(path), error=BadInput)
+    found = read_info(path, StepsFile, FORMAT)
     return Ledger(folder, {entry.name: entry for entry in found.step})
 
 
