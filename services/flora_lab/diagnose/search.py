@@ -18,6 +18,8 @@ Array = npt.NDArray[Any]
 _STEPS: Final = 10
 FULLY: Final = 7
 """Effects that are fitted in full, at least: those that come to most where all is taken for linear."""
+_LOST: Final = 10.0
+"""Nats below what there was before, at which a fit has lost its way."""
 _NEARLY: Final = 0.4
 """An effect that comes to more than this share of the best one's gain there is fitted in full too."""
 
@@ -43,10 +45,23 @@ def best_of_each(
     for place, effect in enumerate(ranked):
         forms = looks[effect.name]
         if place < FULLY or gains[effect.name] > _NEARLY * gains[ranked[0].name]:
-            forms = [joint.fit(found, _STEPS) for found in forms]
+            forms = [_fitted(joint, before, found) for found in forms]
         out.append((effect, max(forms, key=lambda found: found.evidence)))
         on_effect()
     return out
+
+
+def _fitted(joint: Joint, before: Found, look: Found) -> Found:
+    """The fit from where all is taken for linear; once more from where there is no effect, if that was too far off.
+
+    A cause more cannot explain less, but for what its being one more costs.
+    """
+    fit = joint.fit(look, _STEPS)
+    if fit.evidence > before.evidence - _LOST:
+        return fit
+    none = [p.centre for p in look.hypothesis.causes[-1].parameters]
+    still = Found(look.hypothesis, np.append(before.coordinates, none), before.traits.copy(), before.start.copy())
+    return max(fit, joint.fit(still, _STEPS), key=lambda found: found.evidence)
 
 
 def best_start(joint: Joint, before: Found, cause: Cause) -> Found:
