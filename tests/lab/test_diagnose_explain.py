@@ -5,14 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
-from flora_lab.diagnose.explain import CLAIM, CONSTANT_LESS, MOST_CAUSES, Explainer, Explanation
-from flora_lab.diagnose.joint import evidence_for_last
+from flora_lab.diagnose.explain import CLAIM, CONSTANT_LESS, MOST_CAUSES, Explainer, Explanation, Stage, Tried
+from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -222,8 +224,29 @@ def test_less_is_asked_of_what_is_another_constant_of_the_plant(monkeypatch: pyt
 def test_what_is_worth_a_name_is_less_than_what_is_looked_for(effect: Effect) -> None:
     for p in effect.parameters:
         assert all(p.is_worth_a_name(value) for value in p.starts)
-        assert p.is_worth_a_name(p.high)
+        assert p.is_worth_a_name(p.low) or p.is_worth_a_name(p.high)
+        assert p.none is None or not p.is_worth_a_name(p.none)
         if p.least:
             assert p.none is not None
-            assert not p.is_worth_a_name(p.none)
             assert 0.0 < p.least < 0.5 * max(abs(value - p.none) for value in p.starts)
+
+
+def test_plants_are_looked_for_again_where_the_best_fit_found_them() -> None:
+    """Though its cause came to nothing, since it was the plants that it found."""
+
+    class Still:
+        @staticmethod
+        def fit(start: Found, _: int) -> Found:
+            return start
+
+    def fit(evidence: float, traits: float) -> Found:
+        return Found(Hypothesis(), np.zeros(0), np.full((1, 9), traits), np.zeros((1, 2)), evidence=evidence)
+
+    named, plants = (
+        Tried(BY_NAME[name], gain, fit(evidence, traits))
+        for name, gain, evidence, traits in (("draught", 50.0, -100.0, 1.0), ("lamp_ageing", 0.0, -20.0, 2.0))
+    )
+    stage = Stage(fit(-150.0, 0.0), (named, plants))
+    again = Explainer._restarted(cast("Joint", Still()), stage)
+    assert (again.traits == 2.0).all()
+    assert again.hypothesis.names() == ()

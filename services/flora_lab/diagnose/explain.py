@@ -23,7 +23,7 @@ Array = npt.NDArray[Any]
 
 CLAIM: Final = 3.5
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
-CONSTANT_LESS: Final = 0.5
+CONSTANT_LESS: Final = 1.5
 """Nats that it needs less where it is but another value of a plant's constant: how plants differ in these is measured,
 how wrong the law is in all else is only expected."""
 _DOUBT: Final = 8.0
@@ -297,9 +297,10 @@ class Explainer:
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
-        best = next((t.found for t in stage.tried if t.found is not None), None)
-        if best is None:
+        fits = [t.found for t in stage.tried if t.found is not None]
+        if not fits:
             return stage.before
+        best = max(fits, key=lambda fit: fit.evidence)
         again = Found(stage.before.hypothesis, stage.before.coordinates.copy(), best.traits.copy(), best.start.copy())
         return joint.fit(again, 12)
 

@@ -17,6 +17,9 @@ Array = npt.NDArray[Any]
 Values = Mapping[str, float]
 Where = Literal["plant", "camera", "clock", "simulator"]
 
+_NEXT_TO_NOTHING: Final = 0.01
+"""In standard deviations of what is plausible: with so little of an effect, something else has done what it seems."""
+
 RUN_H: Final = 72.0
 """The length of a run that parameters given "over the run" refer to."""
 
@@ -70,7 +73,10 @@ class Parameter:
 
     def is_worth_a_name(self, value: float) -> bool:
         """Whether a value is so far from none that it matters."""
-        return self.none is None or abs(value - self.none) >= self.least
+        if self.none is None:
+            return True
+        away = abs(self.coordinate(value) - self.centre)
+        return abs(value - self.none) >= self.least and away > _NEXT_TO_NOTHING * self.spread
 
     @property
     def centre(self) -> float:
