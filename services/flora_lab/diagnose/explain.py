@@ -21,7 +21,7 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 3.5
+CLAIM: Final = 4.0
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
 CONSTANT_LESS: Final = 1.5
 """Nats that it needs less where it is but another value of a plant's constant: how plants differ in these is measured,
