@@ -36,15 +36,13 @@ def about() -> Linear:
     return Linear(np.zeros(scene.size), slopes[: scene.size], parts)
 
 
-def drawn(
-    count: int, seed: int, *, sizes: Array | None = None, spread: Array = SPREAD, mean: Array = TYPICAL
-) -> list[Linear]:
+def drawn(count: int, seed: int, *, sizes: Array | None = None, spread: Array = SPREAD) -> list[Linear]:
     """Runs of plants that differ, to whom things happen by chance."""
     rng = np.random.default_rng(seed)
     own = about()
     sizes = np.maximum(sizes_expected(), [part.least for part in PARTS]) if sizes is None else sizes
     root = np.linalg.cholesky(np.tensordot(sizes**2, own.parts, axes=1) + 1e-12 * np.eye(len(own.offset)))
-    plants = mean + rng.standard_normal((count, len(NAMES))) @ np.linalg.cholesky(spread).T
+    plants = TYPICAL + rng.standard_normal((count, len(NAMES))) @ np.linalg.cholesky(spread).T
     starts = START_SD * rng.standard_normal((count, len(START_SD)))
     chance = rng.standard_normal((count, len(root))) @ root.T
     return [
@@ -73,11 +71,11 @@ def test_sizes_of_chance_are_found_again(factors: tuple[float, ...]) -> None:
     for factor, rows in zip(factors, GROUPS.values(), strict=True):
         truth[rows] *= factor
     truth = np.maximum(truth, [part.least for part in PARTS])
-    found = by_drive(sizes_and_spread(drawn(12, 5, sizes=truth), TYPICAL, 1.5 * sizes_expected())[0])
+    found = by_drive(sizes_and_spread(drawn(24, 5, sizes=truth), TYPICAL, 1.5 * sizes_expected())[0])
     largest = max(by_drive(truth).values())
     for drive, wanted in by_drive(truth).items():
         # What hardly pushes the features beside the rest is hardly told.
-        assert found[drive] == pytest.approx(wanted, rel=0.35, abs=0.15 * largest), drive
+        assert found[drive] == pytest.approx(wanted, rel=0.35, abs=0.1 * largest), drive
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.6])

@@ -235,7 +235,7 @@ class Explainer:
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:
             # Only looked at linearly so far.
-            effect, fit = tried[0].effect, joint.fit(_started(tried[0].found), 12)
+            effect, fit = tried[0].effect, search.fitted(joint, before, tried[0].found, 12)
             tried[0] = _tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
@@ -297,7 +297,7 @@ class Explainer:
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
-        fits = [t.found for t in stage.tried if t.found is not None]
+        fits = [t.found for t in stage.tried if t.found is not None and t.found.jacobians]
         if not fits:
             return stage.before
         best = max(fits, key=lambda fit: fit.evidence)

@@ -87,8 +87,7 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned) -> Learned:
         for scene, fit in zip(scenes, fits, strict=True)
     ]
     linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
-    near = {id(fit) for fit in _near(fits)}
-    base = _population([one for one, fit in zip(linear, fits, strict=True) if id(fit) in near], so_far.base)
+    base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far.base)
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
     return Learned(base, fits, parts, evidence, number)
 
@@ -101,11 +100,10 @@ def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -
     """Fits that ended much worse than the others, or far from them, once more, from where these ended."""
     middle = np.median([fit.traits[0] for fit in fits], axis=0)
     usual = float(np.median([fit.misfit for fit in fits]))
-    near = {id(fit) for fit in _near(fits)}
     out = []
-    for one, fit in zip(runs, fits, strict=True):
+    for one, fit, is_near in zip(runs, fits, _are_near(fits), strict=True):
         best = fit
-        if id(fit) not in near or not fit.misfit <= _FAR_WORSE * usual:
+        if not is_near or not fit.misfit <= _FAR_WORSE * usual:
             joint = Joint([one], base)
             again = joint.fit(replace(joint.null(), traits=middle[None]), 12)
             best = again if again.misfit < fit.misfit else fit
@@ -113,12 +111,12 @@ def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -
     return out
 
 
-def _near(fits: Sequence[Found]) -> list[Found]:
-    """Fits of plants like most others: one that ended in a corner must not tell how plants differ."""
+def _are_near(fits: Sequence[Found]) -> list[bool]:
+    """Whether each is of a plant like most others: one that ended in a corner must not tell how plants differ."""
     values = np.concatenate([fit.traits for fit in fits])
     away = np.abs(values - np.median(values, axis=0))
     usual = np.maximum(np.median(away, axis=0), np.sqrt(np.diag(prior_spread())))
-    return [fit for fit, one in zip(fits, away, strict=True) if (one / usual).max() <= _FAR_OFF]
+    return [bool((one / usual).max() <= _FAR_OFF) for one in away]
 
 
 def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:

@@ -57,15 +57,11 @@ class Linear:
         """Measured minus what a plant with these constants would do, shape (m,)."""
         return np.asarray(self.offset - self.slopes[:, :TRAITS] @ mean)
 
-    def first_stem(self) -> Array:
-        """Covariance because the first stem is not known exactly, shape (m, m)."""
-        own = self.slopes[:, TRAITS:] * START_SD
-        return np.asarray(own @ own.T)
-
     def covariance(self, sizes: Array, spread: Array) -> Array:
-        """Of the residual about the typical plant, shape (m, m)."""
-        by_plant = self.slopes[:, :TRAITS] @ spread @ self.slopes[:, :TRAITS].T
-        whole = np.tensordot(sizes**2, self.parts, axes=1) + by_plant + self.first_stem()
+        """Of the residual about the typical plant, shape (m, m): by chance, by how plants differ, and because the first
+        stem is not known exactly."""
+        own = scipy.linalg.block_diag(spread, np.diag(START_SD**2))
+        whole = np.tensordot(sizes**2, self.parts, axes=1) + self.slopes @ own @ self.slopes.T
         whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
         return np.asarray(whole)
 
@@ -116,22 +112,20 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
     least = np.maximum(_LEAST * sizes_expected(), [part.least for part in PARTS])
     low = np.concatenate([np.log(least), np.log(expected) - _FARTHEST])
     high = np.concatenate([np.log(_MOST * sizes_expected()), np.log(expected) + _FARTHEST])
-    told = [(run.residual(mean), _along(run), run.first_stem(), run.parts) for run in runs]
+    told = [(run, run.residual(mean), _along(run)) for run in runs]
 
     def improbability(log_sizes: Array) -> tuple[float, Array]:
-        variances = np.exp(2.0 * log_sizes)
+        sizes = np.exp(log_sizes)
+        variances, spread = sizes**2, _spread_of(sizes[count:])
         slope = precision @ (log_sizes - middle)
         total = 0.5 * float((log_sizes - middle) @ slope)
-        for residual, along, besides, parts in told:
-            whole = np.tensordot(variances[:count], parts, axes=1) + besides
-            whole += (along * variances[count:]) @ along.T
-            whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
-            root = scipy.linalg.cholesky(whole, lower=True, check_finite=False)
+        for run, residual, along in told:
+            root = scipy.linalg.cholesky(run.covariance(sizes[:count], spread), lower=True, check_finite=False)
             inverse = scipy.linalg.cho_solve((root, True), np.eye(len(root)), check_finite=False)
             pull = inverse @ residual
             total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
             away = inverse - np.outer(pull, pull)
-            slope[:count] += variances[:count] * (parts.reshape(count, -1) @ away.ravel())
+            slope[:count] += variances[:count] * (run.parts.reshape(count, -1) @ away.ravel())
             slope[count:] += variances[count:] * np.sum(along * (away @ along), axis=0)
         return total, slope
 

@@ -45,23 +45,23 @@ def best_of_each(
     for place, effect in enumerate(ranked):
         forms = looks[effect.name]
         if place < FULLY or gains[effect.name] > _NEARLY * gains[ranked[0].name]:
-            forms = [_fitted(joint, before, found) for found in forms]
+            forms = [fitted(joint, before, found, _STEPS) for found in forms]
         out.append((effect, max(forms, key=lambda found: found.evidence)))
         on_effect()
     return out
 
 
-def _fitted(joint: Joint, before: Found, look: Found) -> Found:
+def fitted(joint: Joint, before: Found, look: Found, steps: int) -> Found:
     """The fit from where all is taken for linear; once more from where there is no effect, if that was too far off.
 
     A cause more cannot explain less, but for what its being one more costs.
     """
-    fit = joint.fit(look, _STEPS)
+    fit = joint.fit(look, steps)
     if fit.evidence > before.evidence - _LOST:
         return fit
     none = [p.centre for p in look.hypothesis.causes[-1].parameters]
     still = Found(look.hypothesis, np.append(before.coordinates, none), before.traits.copy(), before.start.copy())
-    return max(fit, joint.fit(still, _STEPS), key=lambda found: found.evidence)
+    return max(fit, joint.fit(still, steps), key=lambda found: found.evidence)
 
 
 def best_start(joint: Joint, before: Found, cause: Cause) -> Found:

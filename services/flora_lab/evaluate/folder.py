@@ -89,7 +89,7 @@ def held(path: Path, plan: Plan) -> Iterator[Path]:
 
 def info_text(plan: Plan) -> str:
     """``evaluation.toml``."""
-    return to_toml(EvaluationFile(FORMAT, dict(plan.work)))
+    return to_toml(EvaluationFile(FORMAT, plan.work))
 
 
 def write_results(path: Path, plan: Plan, trials: Sequence[Trial], results: Mapping[str, str]) -> None:
