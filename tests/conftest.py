@@ -20,6 +20,8 @@ from flora_common.messages import Health
 
 # Read once per process, by whichever test opens a film first: the library is not to write beside a command's one line.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+# Small matrices in two threads that wait for each other take fifty times as long where something else runs beside.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = Path(sys.executable).parent
 DEADLINE_S = 20.0

@@ -55,7 +55,7 @@ class TwinLink:
         self._forget_breaks()
         self._socket.send(request)
         end_s = time.monotonic() + self._timeout_ms / 1000
-        while not self._socket.poll(0, zmq.POLLIN):
+        while (body := self._received()) is None:
             left_ms = round((end_s - time.monotonic()) * 1000)
             if left_ms <= 0:
                 waited_s = self._timeout_ms / 1000
@@ -64,7 +64,7 @@ class TwinLink:
                 self._forget_breaks()
                 self._socket.send(request)
         try:
-            answer = msgspec.msgpack.decode(self._socket.recv(), type=dict[str, Any])
+            answer = msgspec.msgpack.decode(body, type=dict[str, Any])
         except (ValueError, RecursionError) as problem:
             raise TwinGone(f"{self.address}: the answer to `{op}` is not a msgpack map ({problem})") from problem
         if answer.get("ok") is not True:
@@ -75,6 +75,14 @@ class TwinLink:
         """(mono_ns, utc_ns, rate) of the box."""
         answer = self.ask("now")
         return round(float(answer["time_s"]) * NS), int(answer["t_utc_ns"]), float(answer["rate"])
+
+    def _received(self) -> bytes | None:
+        # A late answer to a request of before makes the socket readable too; only reading finds out, and drops it.
+        try:
+            body: bytes = self._socket.recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return None
+        return body
 
     def _forget_breaks(self) -> None:
         while self._breaks.poll(0):

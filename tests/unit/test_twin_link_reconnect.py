@@ -40,6 +40,7 @@ def answer(socket: zmq.Socket[bytes]) -> str:
 def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[Any], tmp_path: Path) -> None:
     address = f"ipc://{tmp_path}/box"
     heard: list[str] = []
+    told = threading.Event()
 
     def box_that_dies() -> None:
         first = router(context, address)
@@ -49,7 +50,8 @@ def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[An
         # How often `wait` comes depends on which of the two sockets the link found first when it came back.
         while heard[-1] != "now":
             heard.append(answer(second))
-        second.close(linger=100)
+        told.wait()  # a socket closed with an answer in it may take the answer with it
+        second.close(linger=0)
 
     box = threading.Thread(target=box_that_dies, daemon=True)
     box.start()
@@ -58,6 +60,7 @@ def test_a_request_that_died_with_the_box_is_asked_again(context: zmq.Context[An
     assert link.ask("wait", until_s=1.0)["op"] == "wait"
     assert time.monotonic() - began_s < 10.0
     assert link.ask("now")["op"] == "now"
+    told.set()
     box.join()
     link.close()
     assert heard[:2] == ["wait", "wait"]
@@ -74,6 +77,27 @@ def test_a_box_that_is_silent_is_not_asked_twice(context: zmq.Context[Any], tmp_
     assert not box.poll(0)
     link.close()
     box.close()
+
+
+def test_a_late_answer_is_not_waited_behind(context: zmq.Context[Any], tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/box"
+    box = router(context, address)
+    link = TwinLink(address, timeout_s=0.3, context=context)
+    with pytest.raises(TwinGone):
+        link.ask("shutter")
+
+    def too_late() -> None:
+        shutter = box.recv_multipart()
+        assert box.poll(5000)  # the next request is out
+        box.send_multipart([*shutter[:-1], msgspec.msgpack.encode({"ok": True})])
+
+    late = threading.Thread(target=too_late, daemon=True)
+    late.start()
+    with pytest.raises(TwinGone, match="did not answer `now`"):
+        link.ask("now")
+    late.join()
+    link.close()
+    box.close(linger=0)
 
 
 def test_a_box_that_dies_over_and_over_ends_in_the_time_out(context: zmq.Context[Any], tmp_path: Path) -> None:
