@@ -27,7 +27,7 @@ def wild() -> tuple[Base, list[Found]]:
     odd[[NAMES.index("photoception_per_cm_h"), NAMES.index("proprioception_per_h")]] += np.log([0.15, 4.0])
     with one_blas_thread():
         scenes = [*scenes_of(REFERENCE[:-1]), scene_of(8, traits=odd)]
-        found = learn.learned(scenes, learn.begun(scenes))
+        found = learn.learned(scenes)
     return found.base, found.fits
 
 
@@ -120,15 +120,14 @@ def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> N
     for term in forms.values():
         change.terms[term] = 1.0
     with one_blas_thread():
-        law, first = law_of([scene_of(seed, change=change) for seed in REFERENCE[:4]])
-    assert first.rounds == 1
+        law, _ = law_of([scene_of(seed, change=change) for seed in REFERENCE[:4]])
     assert [one.effect for one in law] == list(forms)
 
 
 def test_what_is_typical_does_not_depend_on_the_order_of_runs() -> None:
     with one_blas_thread():
         told = [scenes_of(seeds) for seeds in ((0, 1, 2, 3), (3, 1, 0, 2))]
-        there, back = (learn.learned(scenes, learn.begun(scenes)).base for scenes in told)
+        there, back = (learn.learned(scenes).base for scenes in told)
     assert np.abs(there.mean - back.mean).max() < 0.01
     assert np.abs(there.spread - back.spread).max() < 0.1 * np.abs(prior_spread()).max()
 

@@ -30,7 +30,7 @@ _LAWS: Final = (SIDE_ALONE, EVEN_LIGHT)
 """In what the law may be another than it is written, tried in this order."""
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-ROUNDS: Final = 1 + len(_LAWS) + (learn.ROUNDS - 1) + 1
+ROUNDS: Final = learn.ROUNDS + len(_LAWS) + 1
 """How often :func:`learn_from` tells that it has come farther."""
 
 
@@ -64,9 +64,8 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     def told() -> None:
         on_round(next(rounds))
 
-    law, first = law_of(scenes, told)
+    law, best = law_of(scenes, told)
     scenes = _under(law, scenes)
-    best = learn.learned(scenes, first, told)
     base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
@@ -89,16 +88,20 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
 def law_of(
     scenes: Sequence[Scene], on_round: Callable[[], None] = lambda: None
 ) -> tuple[tuple[Extension, ...], Learned]:
-    """The forms of the law that plants are under, and the first round of learning under it."""
+    """The forms of the law that plants are under, and what is learned under it.
+
+    Laws are compared from where the first one has come to rest: first rounds differ by fifty nats for no other reason
+    than that fits are still on their way.
+    """
     law: tuple[Extension, ...] = ()
-    best = learn.begun(scenes)
-    on_round()
+    best = learn.learned(scenes, on_round)
     for form in _LAWS:
         other = (*law, Extension(form.name, {"amount": 1.0}))
-        rival = learn.begun(_under(other, scenes))
-        on_round()
+        there = _under(other, scenes)
+        rival = learn.learned_under(there, best)
         if rival.evidence > best.evidence + _RATHER:
-            law, best = other, rival
+            law, best = other, learn.learned_further(there, rival)
+        on_round()
     return law, best
 
 

@@ -19,6 +19,8 @@ from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, p
 Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
+_FIRST_ITERATIONS: Final = 12
+_ITERATIONS: Final = 5
 _TURNS: Final = 2
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
@@ -45,41 +47,45 @@ class Learned:
         fits: of each run by itself.
         parts: what happens by chance about these, see :func:`flora_lab.diagnose.chance.covariances`.
         evidence: logarithm of the probability of the runs, up to a constant that all laws share.
-        rounds: that were done.
     """
 
     base: Base
     fits: list[Found]
     parts: list[Array]
     evidence: float
-    rounds: int
 
 
-def begun(scenes: Sequence[Scene]) -> Learned:
-    """The first round of learning a base from runs in which nothing is taken to be wrong; it tells laws apart."""
+def learned(scenes: Sequence[Scene], on_round: Callable[[], None] = lambda: None) -> Learned:
+    """Learn a base from runs in which nothing is taken to be wrong; ``on_round`` is told of each of :data:`ROUNDS`."""
     first, first_sd = _firsts(scenes)
     sizes = chance.sizes_expected() * 1.5
     base = Base(prior_mean(), prior_spread(), _known_doubt(), sizes, first, first_sd, len(scenes))
     parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
-    return _carried_on(scenes, Learned(base, [], parts, -np.inf, 0))
-
-
-def learned(scenes: Sequence[Scene], first: Learned, on_round: Callable[[], None] = lambda: None) -> Learned:
-    """The rounds after the first one, see :func:`begun`; ``on_round`` is told of each."""
-    so_far = first
-    while so_far.rounds < ROUNDS:
-        so_far = _carried_on(scenes, so_far)
+    so_far = Learned(base, [], parts, -np.inf)
+    for k in range(ROUNDS):
+        so_far = _carried_on(scenes, so_far, _ITERATIONS if k else _FIRST_ITERATIONS)
         on_round()
     return so_far
 
 
-def _carried_on(scenes: Sequence[Scene], so_far: Learned) -> Learned:
+def learned_under(scenes: Sequence[Scene], other: Learned) -> Learned:
+    """The same for runs that are under another law now, from what the first one came to: a round is enough to tell
+    which law is better, and :func:`learned_further` does the others."""
+    return _carried_on(scenes, other, _FIRST_ITERATIONS)
+
+
+def learned_further(scenes: Sequence[Scene], so_far: Learned) -> Learned:
+    """The rounds after that."""
+    for _ in range(ROUNDS - 1):
+        so_far = _carried_on(scenes, so_far, _ITERATIONS)
+    return so_far
+
+
+def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Learned:
     """One round more: each run's plant, what plants have in common, and what happens by chance about them."""
-    number = so_far.rounds + 1
     alone = so_far.base.of_single_runs()
     runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, so_far.parts, strict=True)]
     starts = so_far.fits or [Joint([one], alone).null() for one in runs]
-    iterations = 12 if number == 1 else 5
     fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
     fits = _from_the_middle(runs, alone, fits)
     parts = [
@@ -89,7 +95,7 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned) -> Learned:
     linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
     base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far.base)
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
-    return Learned(base, fits, parts, evidence, number)
+    return Learned(base, fits, parts, evidence)
 
 
 def _known_doubt() -> Array:

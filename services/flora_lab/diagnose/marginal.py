@@ -121,11 +121,10 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
         total = 0.5 * float((log_sizes - middle) @ slope)
         for run, residual, along in told:
             root = scipy.linalg.cholesky(run.covariance(sizes[:count], spread), lower=True, check_finite=False)
-            inverse = scipy.linalg.cho_solve((root, True), np.eye(len(root)), check_finite=False)
-            pull = inverse @ residual
+            pull = scipy.linalg.cho_solve((root, True), residual, check_finite=False)
             total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
-            away = inverse - np.outer(pull, pull)
-            slope[:count] += variances[:count] * (run.parts.reshape(count, -1) @ away.ravel())
+            away = _like_inverse(root) - np.outer(pull, pull)
+            slope[:count] += variances[:count] * (run.parts.reshape(count, -1) @ away.ravel("K"))
             slope[count:] += variances[count:] * np.sum(along * (away @ along), axis=0)
         return total, slope
 
@@ -138,6 +137,15 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
         options={"maxiter": 60, "ftol": 1e-6},
     )
     return np.exp(found.x[:count]), _spread_of(np.exp(found.x[count:]))
+
+
+def _like_inverse(root: Array) -> Array:
+    """A triangle that is as good as the inverse of a covariance with this lower root wherever both its sides meet the
+    same: in quadratic forms, and in sums of products with what is symmetric."""
+    lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
+    lower *= 2.0
+    lower[np.diag_indices_from(lower)] *= 0.5
+    return np.asarray(lower)
 
 
 # Plants differ in each constant by itself, and in both rates of growth together: ten standard deviations.

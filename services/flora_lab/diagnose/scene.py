@@ -6,6 +6,7 @@ Compared are hourly means, which keep what matters over hours and are rid of mos
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -44,6 +45,8 @@ KNOT_H: Final = {"bias": 0.5, "gradient": 1.0, "growth": 1.0, "gain": 1.0}
 USUAL: Final = {"bias": 0.0, "gradient": 0.0, "growth": 1.0, "gain": 1.0}
 """What drives are where nothing drives."""
 _PUSH: Final = {"bias": 0.02, "gradient": 0.02, "growth": 0.2, "gain": 0.2}
+_APART_H: Final = 4.0
+"""Plants that are pushed at some time are simulated apart from the one that is not from so long before it at most."""
 START_SD: Final = np.array([0.02, 0.04])
 """How well tilt and bow of a stem are measured from which a run begins, rad."""
 _OF_ANY_TIME: Final = np.sqrt(12.0)
@@ -168,6 +171,7 @@ class Scene:
         every: int | None = None,
         bends: Array | None = None,
         lights: Sequence[Array] | None = None,
+        since: Array | None = None,
     ) -> Array:
         """Stems as the camera shows them, shape (rows told, lanes, 10, 2).
 
@@ -177,6 +181,8 @@ class Scene:
             every: steps from one row that is told to the next; as features need it where None.
             bends: tilt and bow of the stems from which it begins anew, rad, shape (restarts, lanes, 2).
             lights: what shone by the record, one of shape (steps, 2) per lane; that of the run where None.
+            since: the step before which each is one with the first, ascending from 0, shape (lanes,): a plant is
+                simulated once for all.
         """
         count = len(lanes.traits)
         given = {name: np.full((self.steps, count), usual) for name, usual in USUAL.items()} | (drives or {})
@@ -185,28 +191,31 @@ class Scene:
         out = np.empty((self.steps // every, count, STEM_POINTS, 2))
         if bends is None:
             bends = np.zeros((len(self.restarts), count, 2))
-        memory = np.zeros((count, *MEMORY))
-        ends = [step for step, *_ in self._stems[1:]] + [self.steps]
-        for own, stop, bend in zip(self._stems, ends, [lanes.start, *bends], strict=True):
-            stems = self._standing(own, lanes.changes, bend, memory)
-            now, told = slice(own[0], stop), slice(own[0] // every, stop // every)
+        begins = np.zeros(count, dtype=np.int64) if since is None else since // every * every
+        stands = {own[0]: (own, bend) for own, bend in zip(self._stems, [lanes.start, *bends], strict=True)}
+        memory = np.zeros((1, *MEMORY))
+        for start, stop in itertools.pairwise(sorted({*stands, *begins.tolist(), self.steps})):
+            here = int(np.searchsorted(begins, start, side="right"))
+            if start in stands:
+                own, bend = stands[start]
+                memory = np.concatenate([memory, np.repeat(memory[:1], here - len(memory), axis=0)])
+                stems = self._standing(own, lanes.changes[:here], bend[:here], memory)
+            elif here > len(stems.count):
+                stems = stems.with_more_of_the_first(here - len(stems.count))
+            now, told = slice(start, stop), slice(start // every, stop // every)
+            shown = np.empty((told.stop - told.start, here, STEM_POINTS, 2))
+            acting = {name: np.ascontiguousarray(given[name][now, :here]) for name in USUAL}
             self.law.advance_with(
                 stems,
-                lanes.traits,
-                terms,
-                Driven(
-                    light[now],
-                    given["bias"][now],
-                    given["gradient"][now],
-                    given["growth"][now],
-                    given["gain"][now],
-                    self.warmth_c[now],
-                ),
-                Seen(turn[told], scale),
+                lanes.traits[:here],
+                terms[:here],
+                Driven(light=light[now, :here], warmth_c=self.warmth_c[now], **acting),
+                Seen(np.ascontiguousarray(turn[told, :here]), scale[:here]),
                 self.step_h,
                 every,
-                out[told],
+                shown,
             )
+            out[told, :here], out[told, here:] = shown, shown[:, :1]
             memory = stems.memory
         return out
 
@@ -240,23 +249,29 @@ class Scene:
 
     def answers(self, traits: Array, change: Change) -> Answers:
         """How this run would answer what happens by chance, for a plant with these traits, shape (9,)."""
-        alone = Lanes(traits[None], np.zeros((1, 2)), [change])
-        still = self.points(alone)
-        base = self.of_points(still)[0]
-        to: dict[str, Array] = {}
-        at_h: dict[str, Array] = {}
-        for name, knot_h in KNOT_H.items():
-            per_knot = max(1, round(knot_h / self.step_h))
-            knots = -(-self.steps // per_knot)
-            push = np.zeros((self.steps, knots))
-            push[np.arange(self.steps), np.arange(self.steps) // per_knot] = _PUSH[name]
-            lanes = Lanes(np.repeat(traits[None], knots, axis=0), np.zeros((knots, 2)), [change] * knots)
-            told = self.of_points(self.points(lanes, {name: USUAL[name] + push}))
-            to[name] = (told - base).T / _PUSH[name]
-            at_h[name] = (np.arange(knots) + 0.5) * per_knot * self.step_h
-        lengths = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
+        per_knot = {name: max(1, round(knot_h / self.step_h)) for name, knot_h in KNOT_H.items()}
+        knots = {name: -(-self.steps // steps) for name, steps in per_knot.items()}
+        begins = np.concatenate([[0], *(np.arange(knots[name]) * per_knot[name] for name in KNOT_H)])
+        order = np.argsort(begins, kind="stable")
+        drives = {}
+        column = 1
+        for name in KNOT_H:
+            push = np.full((self.steps, len(begins)), USUAL[name])
+            push[np.arange(self.steps), column + np.arange(self.steps) // per_knot[name]] += _PUSH[name]
+            drives[name] = push[:, order]
+            column += knots[name]
+        alike = np.repeat(traits[None], len(begins), axis=0)
+        apart = max(1, round(_APART_H / self.step_h))
+        lanes = Lanes(alike, np.zeros((len(begins), 2)), [change] * len(begins))
+        told = self.points(lanes, drives, since=begins[order] // apart * apart)
+        still, features = told[:, 0], np.empty((len(begins), self.size))
+        features[order] = self.of_points(told)
+        base, *pushed = np.split(features, np.cumsum([1, *knots.values()])[:-1])
+        to = {name: (own - base).T / _PUSH[name] for name, own in zip(KNOT_H, pushed, strict=True)}
+        at_h = {name: (np.arange(knots[name]) + 0.5) * per_knot[name] * self.step_h for name in KNOT_H}
+        lengths = np.hypot(*np.moveaxis(np.diff(still, axis=1), -1, 0)).sum(axis=1)
         length_cm = np.interp(at_h["bias"], self._told_h, lengths)
-        return Answers(to, at_h, length_cm, self._to_gaps(traits, change, base))
+        return Answers(to, at_h, length_cm, self._to_gaps(traits, change, base[0]))
 
     def _to_gaps(self, traits: Array, change: Change, base: Array) -> Array:
         """See :class:`Answers`; ``base`` are the features if all is as it is taken to be."""

@@ -39,6 +39,11 @@ class Stems:
         parts = (self.length, self.angle, self.count, self.memory)
         return Stems(*(np.repeat(part, lanes, axis=0) for part in parts))
 
+    def with_more_of_the_first(self, lanes: int) -> Stems:
+        """These, and the first stem ``lanes`` times more."""
+        parts = (self.length, self.angle, self.count, self.memory)
+        return Stems(*(np.concatenate([part, np.repeat(part[:1], lanes, axis=0)]) for part in parts))
+
     @property
     def length_cm(self) -> Array:
         """Of the whole stems, shape (batch,)."""
