@@ -5,9 +5,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -44,6 +48,7 @@ WHICH = 7_000
 NOTHING = ((0, 7_101), (1, 7_102))
 OUTSIDE = (0, 7_201)
 LEAST_RIGHT = 3
+CORES = 2
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,7 @@ def _answer(case: Case, folder: Path) -> Answer:
     reference = read_reference(folder / "reference", runs)
     usual_c = reference.usual_temperature_c()
     with one_blas_thread():
+        numba.set_num_threads(1)
         known = learn_from(reference.scenes(usual_c))
         explanation = Explainer(runs.scenes(usual_c), known).explain()
     left = left_of(explanation, known)
@@ -77,25 +83,43 @@ def _answer(case: Case, folder: Path) -> Answer:
     return Answer(frozenset(hidden.name for hidden in case.hidden), verdict_of(causes, left), causes)
 
 
-def test_most_hidden_effects_are_named_first(tmp_path: Path) -> None:
-    answers = []
+def _hidden() -> list[Case]:
     effects = np.random.default_rng(WHICH).choice(LOUD, len(HIDDEN), replace=False).tolist()
-    for (form, seed), effect in zip(HIDDEN, effects, strict=True):
-        answers.append(_answer(draw_case(seed, form=form, kind="single", effect=effect), tmp_path / f"{form}-{seed}"))
-    told = [f"{sorted(a.hidden)}: {a.verdict} {[c.effect for c in a.causes]}" for a in answers]
-    assert sum(answer.is_right for answer in answers) >= LEAST_RIGHT, told
+    return [
+        draw_case(seed, form=form, kind="single", effect=effect)
+        for (form, seed), effect in zip(HIDDEN, effects, strict=True)
+    ]
 
 
-@pytest.mark.parametrize(("form", "seed"), NOTHING)
-def test_healthy_runs_are_left_alone(form: int, seed: int, tmp_path: Path) -> None:
-    answer = _answer(draw_case(seed, form=form, kind="none"), tmp_path / "case")
+def _outside() -> Case:
+    form, seed = OUTSIDE
+    return draw_case(seed, form=form, kind="outside", effect=str(np.random.default_rng(seed).choice(LASTING)))
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, Future[Answer]]]:
+    """By seed. A case is half a minute of one core."""
+    cases = [*_hidden(), *(draw_case(seed, form=form, kind="none") for form, seed in NOTHING), _outside()]
+    folder = tmp_path_factory.mktemp("cases")
+    with ProcessPoolExecutor(CORES, multiprocessing.get_context("spawn")) as pool:
+        yield {case.seed: pool.submit(_answer, case, folder / str(case.seed)) for case in cases}
+        pool.shutdown(cancel_futures=True)
+
+
+def test_most_hidden_effects_are_named_first(answers: dict[int, Future[Answer]]) -> None:
+    found = [answers[seed].result() for _, seed in HIDDEN]
+    told = [f"{sorted(a.hidden)}: {a.verdict} {[c.effect for c in a.causes]}" for a in found]
+    assert sum(answer.is_right for answer in found) >= LEAST_RIGHT, told
+
+
+@pytest.mark.parametrize("seed", [seed for _, seed in NOTHING])
+def test_healthy_runs_are_left_alone(seed: int, answers: dict[int, Future[Answer]]) -> None:
+    answer = answers[seed].result()
     assert answer.verdict == "nothing_wrong", [c.evidence for c in answer.causes]
 
 
-def test_what_is_outside_the_catalogue_gets_no_name(tmp_path: Path) -> None:
+def test_what_is_outside_the_catalogue_gets_no_name(answers: dict[int, Future[Answer]]) -> None:
     """Of what follows the clock or the light, which hits the whole run: a wall may never be touched."""
-    form, seed = OUTSIDE
-    effect = str(np.random.default_rng(seed).choice(LASTING))
-    answer = _answer(draw_case(seed, form=form, kind="outside", effect=effect), tmp_path / "case")
-    assert answer.verdict == "unexplained", effect
+    answer = answers[OUTSIDE[1]].result()
+    assert answer.verdict == "unexplained", _outside().hidden
     assert all(cause.confidence < 0.5 for cause in answer.causes), [c.evidence for c in answer.causes]
