@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from discovery.worlds import other, rod
-from discovery.worlds.case import ALL_EFFECTS, draw_case
+from discovery.worlds.case import ALL_EFFECTS, believed_lamps, draw_case
 from discovery.worlds.effects import CATALOGUE, INSEPARABLE, ratio
 from discovery.worlds.kernel import CLOSED_LOOP
 from discovery.worlds.outside import OUTSIDE
@@ -262,6 +262,19 @@ def test_pairs_are_two_effects_that_can_be_told_apart() -> None:
 def test_knowing_the_effect_and_the_plant_mends_free_runs() -> None:
     oracle = draw_case(2, 0, "single", 1, 1, effect="draught", hours=48.0).oracle["own"]["run"]
     assert oracle["extended_mm"] < 0.5 * oracle["base_mm"]
+
+
+@pytest.mark.parametrize("ahead_h", [-1.0, 0.0, 1.0])
+def test_of_the_lamps_nobody_knows_more_than_the_record_and_how_late_it_tells_them(ahead_h: float) -> None:
+    scene = quiet(0, hours=20.0)
+    scene.schedule = draw_schedule(np.random.default_rng(3), "random_dwell", scene.hours)
+    scene.record.offset_h = ahead_h
+    believed = believed_lamps(recorded(scene), len(scene.schedule), ahead_h)
+    rows, ahead = 20 * ROWS_PER_H, round(ahead_h * ROWS_PER_H)
+    told = slice(max(ahead - 1, 0), rows + ahead)  # the first row tells the interval before it
+    assert (believed[told] == scene.schedule[told]).all()
+    assert (believed[: told.start] == believed[told.start]).all()
+    assert (believed[told.stop :] == believed[told.stop - 1]).all()
 
 
 def test_a_written_case_reads_back(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from .effects import CATALOGUE, DAMAGE, INSEPARABLE, Effect, Parameters
 from .individuals import Spread, add_drifts, draw_plant, draw_spread
 from .outside import OUTSIDE
 from .record import recorded
-from .scene import LIGHT_CODES, ROW_S, Laws, Plant, Scene
+from .scene import HOUR_S, LIGHT_CODES, ROW_S, Laws, Plant, Scene
 from .schedules import OPEN_LOOPS, draw_schedule
 
 Kind = Literal["single", "pair", "none", "outside"]
@@ -236,8 +236,8 @@ def _oracle(species: _Species, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]
         for whose, plant in (("typical", species.typical), ("own", None)):
             for name, effects in (("base_mm", ()), ("extended_mm", hidden)):
                 scene = _scene(species, 2, number, run.schedule, effects, plant=plant, drifting=False)
-                if not effects:  # whoever knows of no effect believes the lamps of the record
-                    scene.schedule = _believed(run.track, len(scene.schedule))
+                # Nobody knows more of the lamps than the record tells; who knows the effect knows how late it tells it.
+                scene.schedule = believed_lamps(run.track, len(scene.schedule), scene.record.offset_h)
                 scene.record.gap_share = 0.0
                 off = ((recorded(scene).points_cm[rows] - run.track.points_cm)[:, 1:] ** 2).sum(axis=2) * 100.0
                 squares.setdefault((whose, "run", name), []).append(off.ravel())
@@ -249,7 +249,14 @@ def _oracle(species: _Species, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]
     return found
 
 
-def _believed(track: Track, rows: int) -> np.ndarray:
-    """The schedule that a record tells: a row's lamp shone over the interval before it."""
-    after = np.searchsorted(track.time_s, (np.arange(rows) + 1) * ROW_S)
+def believed_lamps(track: Track, rows: int, ahead_h: float) -> np.ndarray:
+    """The schedule that a record tells: a row's lamp shone over the interval before it.
+
+    Args:
+        track: the record; before its first row and after its last the lamps are taken to be as in these.
+        rows: of the schedule.
+        ahead_h: how far the record's lamps are ahead of its pictures.
+    """
+    stamp_s = (np.arange(rows) + 1) * ROW_S - ahead_h * HOUR_S
+    after = np.searchsorted(track.time_s, stamp_s)
     return np.array([LIGHT_CODES.index(track.light[min(int(row), len(track.light) - 1)]) for row in after])
