@@ -31,6 +31,7 @@ SAME: tuple[frozenset[str], ...] = (
 """Causes that look alike: the first two exactly so in light and track, the others in most light."""
 CONFIDENT = 0.8
 BINS = 10
+DRAWS = 1000
 DAY_H = 24.0
 SIGN_FREE = frozenset({"angle_deg", "offset_h", "per_hour"})
 """Parameters whose direction is a matter of convention."""
@@ -99,6 +100,15 @@ class Outcome:
     @property
     def right(self) -> bool:
         return bool(self.claimed) and self.names(self.claimed[0]) is not None
+
+    @property
+    def ranked_first(self) -> bool:
+        """Whether the first claim is right, or, where nothing is claimed, a hidden effect has more evidence than all
+        others of the catalogue."""
+        if self.claimed:
+            return self.right
+        nats = (self.diagnosis or {}).get("considered") or [{}]
+        return bool(nats[0]) and max(nats[0], key=nats[0].__getitem__) in self.hidden
 
     @property
     def right_alone(self) -> bool:
@@ -179,13 +189,27 @@ def _errors_of(effect: Json, cause: Json) -> Iterable[ParameterError]:
 
 def calibration_error(outcomes: Sequence[Outcome]) -> float:
     """Expected calibration error of all claimed causes' confidences, in ten bins; NaN where nothing was claimed."""
+    confidence, right = _claims(outcomes)
+    return _calibration_error(confidence, right) if len(right) else math.nan
+
+
+def calibration_error_by_chance(outcomes: Sequence[Outcome]) -> float:
+    """What that would be on the mean if each claim were right with just its confidence: few in ten bins scatter."""
+    confidence, _ = _claims(outcomes)
+    rng = np.random.default_rng(1)
+    draws = [rng.random(len(confidence)) < confidence for _ in range(DRAWS)]
+    return float(np.mean([_calibration_error(confidence, right) for right in draws])) if len(confidence) else math.nan
+
+
+def _claims(outcomes: Sequence[Outcome]) -> tuple[np.ndarray, np.ndarray]:
     pairs = [(float(c["confidence"]), o.names(c) is not None) for o in outcomes for c in o.claimed]
-    if not pairs:
-        return math.nan
-    confidence, right = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.float64)
+    return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=bool)
+
+
+def _calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
     bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
     gaps = [abs(confidence[bins == b].mean() - right[bins == b].mean()) * (bins == b).sum() for b in np.unique(bins)]
-    return float(sum(gaps) / len(pairs))
+    return float(sum(gaps) / len(confidence))
 
 
 def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[float, int]:

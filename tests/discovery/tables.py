@@ -13,6 +13,7 @@ from .scoring import (
     Outcome,
     Share,
     calibration_error,
+    calibration_error_by_chance,
     confusion,
     gain_share,
     parameter_errors,
@@ -69,7 +70,9 @@ def _summary(outcomes: Sequence[Outcome]) -> Table:
         rows += [(what, name, str(value), aim) for what, value, aim in _figures(of, form) if str(value) != "-"]
     claims = calibration_error(outcomes)
     if not math.isnan(claims):
-        rows.append(("calibration error of confidences", "both", f"{claims:.3f}", "<= 0.08"))
+        exact = calibration_error_by_chance(outcomes)
+        told = f"{claims:.3f}; {exact:.3f} if they were exact"
+        rows.append(("calibration error of confidences", "both", told, "<= 0.08"))
     gained, cases = gain_share(outcomes)
     if not math.isnan(gained):
         rows.append(("gain at the end, share of the oracle's", "both", f"{gained:.2f} ({cases} cases)", ">= 0.90"))
@@ -95,6 +98,7 @@ def _figures(of: dict[str, list[Outcome]], form: int) -> list[tuple[str, Share |
     return [
         ("right cause first", share(o.right for o in single), ">= 80 %" if form == 0 else ">= 72 %"),
         ("the same, by its own name", share(o.right_alone for o in single), ""),
+        ("first in evidence, claimed or not", share(o.ranked_first for o in single), ""),
         ("right of those claimed", share(o.right for o in single if o.claimed), ">= 95 %" if form == 0 else ""),
         ("right name, called unexplained", share(_flagged(o) for o in single), ""),
         ("false alarms", share(o.verdict not in {"nothing_wrong", "failed"} for o in none), "<= 5 %"),

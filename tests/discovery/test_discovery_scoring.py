@@ -11,6 +11,7 @@ from discovery.scoring import (
     Outcome,
     Share,
     calibration_error,
+    calibration_error_by_chance,
     confusion,
     gain_share,
     parameter_errors,
@@ -64,6 +65,16 @@ def test_causes_that_look_alike_are_one_where_the_other_is_named_too() -> None:
     assert not outcome("single", roll, "explained", cause("sag", confusable_with=["camera_roll"])).right
 
 
+def test_what_is_not_claimed_has_a_place_by_its_evidence() -> None:
+    near = [{"sag": 3.1, "draught": 1.0}, {"draught": 9.0}]
+    assert outcome("single", SAG, "nothing_wrong", considered=near).ranked_first
+    assert not outcome("single", SAG, "nothing_wrong", considered=[{"sag": 0.9, "draught": 1.0}]).ranked_first
+    assert not outcome("single", SAG, "explained", cause("draught"), considered=near).ranked_first
+    assert outcome("single", SAG, "explained", cause("sag")).ranked_first
+    assert not outcome("single", SAG, "nothing_wrong", considered=[]).ranked_first
+    assert not outcome("single", SAG, None).ranked_first
+
+
 def test_shares_come_with_the_interval_of_wilson() -> None:
     assert Share(5, 100).interval() == pytest.approx((0.0215, 0.1118), abs=1e-4)
     assert Share(0, 20).interval() == pytest.approx((0.0, 0.1611), abs=1e-4)
@@ -103,6 +114,14 @@ def test_calibration_error_weighs_bins_by_their_claims() -> None:
     assert calibration_error(sure + unsure) == pytest.approx((0.05 + 0.25) / 2)
     assert calibration_error([outcome("none", {}, "explained", cause("sag", 1.0))]) == pytest.approx(1.0)
     assert math.isnan(calibration_error([outcome("none", {}, "nothing_wrong")]))
+
+
+def test_few_exact_claims_have_a_calibration_error_of_their_own() -> None:
+    few = [outcome("single", SAG, "explained", cause("sag", 0.5)) for _ in range(4)]
+    # 0, 1, 2, 3 or 4 of 4 right: off by a half twice in 16, by a quarter 8 times in 16.
+    assert calibration_error_by_chance(few) == pytest.approx(3.0 / 16.0, abs=0.02)
+    assert calibration_error_by_chance(few * 50) < 0.04
+    assert math.isnan(calibration_error_by_chance([]))
 
 
 def test_gain_is_pooled_over_right_claims() -> None:
