@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose_runs import base, scenes_of
+from diagnose_runs import Effects, base, scenes_of
 
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.joint import Found, Joint, ready
@@ -27,20 +27,46 @@ class EasilyLost(Joint):
         return found
 
 
-def easily_lost() -> EasilyLost:
-    scenes = scenes_of((80, 81))
+def joint_of(kind: type[Joint] = Joint, effects: Effects | None = None) -> Joint:
+    scenes = scenes_of((80, 81), effects)
     parts = [chance.covariances(scene, scene.answers(base().mean, Change())) for scene in scenes]
     runs = [ready(scene, base(), own, together=2) for scene, own in zip(scenes, parts, strict=True)]
-    return EasilyLost(runs, base())
+    return kind(runs, base())
 
 
 @pytest.mark.parametrize("name", ["growth_rate", "adaptation", "camera_roll"])
 def test_one_cause_more_does_not_explain_less(name: str) -> None:
     with one_blas_thread():
-        joint = easily_lost()
+        joint = joint_of(EasilyLost)
         before = joint.fit(joint.null(), 12)
         ((effect, fit),) = search.best_of_each(joint, before, [BY_NAME[name]])
     assert effect.name == name
+    assert isinstance(joint, EasilyLost)
     assert joint.lost >= 1
     assert fit.hypothesis.names() == (name,)
     assert fit.evidence > before.evidence - 6.0  # what one cause more costs, where it explains nothing
+
+
+@pytest.mark.parametrize("peak_h", [0.4, 7.0, 12.0, 17.0, 23.0])
+def test_a_rhythm_is_found_whenever_it_peaks(peak_h: float) -> None:
+    """Less in the evening is more in the morning, to whoever takes all for linear."""
+    with one_blas_thread():
+        joint = joint_of(effects={"diurnal_growth": {"amplitude": 0.5, "peak_h": peak_h}})
+        before = joint.fit(joint.null(), 12)
+        ((_, fit),) = search.best_of_each(joint, before, [BY_NAME["diurnal_growth"]])
+    told = fit.values()[0]
+    assert told["amplitude"] > 0.25
+    assert abs((told["peak_h"] - peak_h + 12.0) % 24.0 - 12.0) < 3.0
+    assert fit.evidence > before.evidence + 5.0
+
+
+def test_what_is_looked_at_stays_within_reach() -> None:
+    """Evidence is that of a place that can be come to: a rhythm that is less than none explains nothing."""
+    (cause, _) = search.forms_of(BY_NAME["diurnal_growth"])
+    with one_blas_thread():
+        joint = joint_of(effects={"diurnal_growth": {"amplitude": 0.5, "peak_h": 3.0}})
+        before = joint.fit(joint.null(), 12)
+        there, opposite = (joint.screened(before, cause, np.array([0.0, peak_h])) for peak_h in (3.0, 15.0))
+    assert there.evidence > before.evidence + 5.0
+    assert opposite.values()[0]["amplitude"] == 0.0
+    assert opposite.evidence < before.evidence + 0.01

@@ -33,7 +33,7 @@ FORM: Final = 0.015
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
 _MOST_OF_FORM: Final = 10.0
 """Nats that this comes to at most."""
-OF_A_SWING: Final = 0.002
+OF_A_SWING: Final = 0.0003
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"

@@ -202,14 +202,30 @@ class Joint:
         at, normal, downhill = self._about(before, cause, start)
         if not (np.isfinite(at.misfit) and np.isfinite(normal).all()):
             return at
-        step = np.linalg.solve(normal, downhill)
-        misfit = at.misfit - 0.5 * float(downhill @ step)
+        step = self._within_reach(at, normal, downhill)
+        misfit = at.misfit - float(downhill @ step) + 0.5 * float(step @ normal @ step)
         ratio = np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self._precision(at.hypothesis))[1]
         moved = self._moved(at, step)
         q = len(at.coordinates)
         moved.covariance = np.linalg.inv(normal)[len(normal) - q :, len(normal) - q :]
         moved.evidence = float(-misfit - 0.5 * ratio)
         return moved
+
+    def _within_reach(self, at: Found, normal: Array, downhill: Array) -> Array:
+        """The step to the bottom; where that lies beyond what a parameter can be, with it at its bound.
+
+        Else the mirror of an effect (less by night is more by day) would be taken for the effect, and end as nothing.
+        """
+        step = np.linalg.solve(normal, downhill)
+        first = len(step) - len(at.coordinates)
+        kept = self._moved(at, step).coordinates - at.coordinates
+        bound = first + np.flatnonzero(np.abs(kept - step[first:]) > 1e-12)
+        if len(bound):
+            free = np.setdiff1d(np.arange(len(step)), bound)
+            step[bound] = kept[bound - first]
+            pull = downhill[free] - normal[np.ix_(free, bound)] @ step[bound]
+            step[free] = np.linalg.solve(normal[np.ix_(free, free)], pull)
+        return step
 
     def _about(self, before: Found, cause: Cause, start: Array) -> tuple[Found, Array, Array]:
         """One cause more at a start, and the normal equations there."""
@@ -283,9 +299,12 @@ class Joint:
         return np.asarray(scipy.linalg.block_diag(self._trait_precision, starts, np.diag(spreads**-2.0)))
 
     def _away(self, found: Found) -> Array:
-        centres = np.array([p.centre for p in found.hypothesis.parameters])
+        expected = [
+            own if p.is_cyclic else p.centre
+            for p, own in zip(found.hypothesis.parameters, found.coordinates, strict=True)
+        ]
         return np.concatenate(
-            [(found.traits - self.base.mean).ravel(), found.start.ravel(), found.coordinates - centres]
+            [(found.traits - self.base.mean).ravel(), found.start.ravel(), found.coordinates - np.array(expected)]
         )
 
     def _moved(self, at: Found, step: Array) -> Found:

@@ -89,7 +89,7 @@ def meaning(cause: NamedCause) -> str:
 
 def value_text(parameter: Parameter, value: float) -> str:
     """A parameter's value with its unit."""
-    shown = value % 24.0 if parameter.scale == "day" else value
+    shown = value % 24.0 if parameter.is_cyclic else value
     digits = f"{shown:.3g}" if abs(shown) < 100 else f"{shown:.0f}"
     unit = next((unit for end, unit in _UNITS + _RATES if parameter.name.endswith(end)), "")
     return digits.replace("-", "−") + unit

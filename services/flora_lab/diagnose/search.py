@@ -59,7 +59,9 @@ def fitted(joint: Joint, before: Found, look: Found, steps: int) -> Found:
     fit = joint.fit(look, steps)
     if fit.evidence > before.evidence - _LOST:
         return fit
-    none = [p.centre for p in look.hypothesis.causes[-1].parameters]
+    last = look.hypothesis.causes[-1].parameters
+    kinds = look.coordinates[len(before.coordinates) :]
+    none = [own if p.none is None else p.centre for p, own in zip(last, kinds, strict=True)]
     still = Found(look.hypothesis, np.append(before.coordinates, none), before.traits.copy(), before.start.copy())
     return max(fit, joint.fit(still, steps), key=lambda found: found.evidence)
 

@@ -236,7 +236,7 @@ def _p_value(stage: Stage) -> float:
 
 
 def _told(p: Parameter, value: float) -> float:
-    return value % 24.0 if p.scale == "day" else value
+    return value % 24.0 if p.is_cyclic else value
 
 
 def _intervals(

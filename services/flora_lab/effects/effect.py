@@ -63,7 +63,7 @@ class Parameter:
         """Coordinates between which it is searched: some way beyond what is plausible, but never to the other side of
         where there is no effect, if all that is plausible lies on one."""
         low, high = self.coordinate(self.low), self.coordinate(self.high)
-        if self.scale == "day":
+        if self.is_cyclic:
             return -math.inf, math.inf
         if self.none is None:
             room = 0.1 * (high - low)
@@ -86,8 +86,16 @@ class Parameter:
         return 0.5 * (self.coordinate(self.low) + self.coordinate(self.high))
 
     @property
+    def is_cyclic(self) -> bool:
+        """Whether all values are as likely before any data, since none is the first or the last."""
+        return self.scale == "day"
+
+    @property
     def spread(self) -> float:
-        """Standard deviation of the coordinate before any data: the far end of the range lies two of them away."""
+        """Standard deviation of the coordinate before any data: the far end of the range lies two of them away. Of what
+        is cyclic, that of a normal density that is as high as the even one."""
+        if self.is_cyclic:
+            return (self.high - self.low) / math.sqrt(2.0 * math.pi)
         ends = (abs(self.coordinate(self.low) - self.centre), abs(self.coordinate(self.high) - self.centre))
         return max(ends) / 2.0
 
