@@ -16,7 +16,7 @@ from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.knowledge import blocks
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.summary import summary
+from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.threads import one_blas_thread
@@ -146,6 +146,20 @@ def test_summaries_are_sentences() -> None:
     assert len(told) == 4
     assert all(text.endswith(".") and "\n" not in text for text in told)
     assert any("Sagging" in text and "Something else is at work" in text for text in told)
+
+
+def test_what_comes_nearest_to_a_name_is_told_where_none_is_given() -> None:
+    found = found_of("sag", [0.1])
+    named_one = explanation_of({"phototropic_gain": 1.8, "sag": 1.2}, found)
+    none_named = replace(named_one, accepted=())
+    text = nearest(none_named)
+    assert "pull of the light" in text
+    assert "6 times as probable" in text
+    assert text.endswith("a name takes 12 times.")  # e^1.8, and e^2.5: it is but another constant of the plant
+    assert text in summary([], NONE_LEFT, text)
+    assert text not in summary([], MUCH_LEFT, text)
+    assert nearest(named_one) == ""
+    assert nearest(replace(explanation_of({"sag": 0.2, "draught": -3.0}, found), accepted=())) == ""
 
 
 # What is left

@@ -119,6 +119,12 @@ class Explanation:
     claim: float = CLAIM
     unnamed: Unnamed | None = None
 
+    @property
+    def nearest(self) -> Tried | None:
+        """Where no cause was taken, the one for which most speaks; None where nothing speaks for any."""
+        best = self.stages[0].tried[0]
+        return best if not self.accepted and best.gain > 0.0 else None
+
 
 class Explainer:
     """Looks for causes.
@@ -193,14 +199,11 @@ class Explainer:
         beside = self._beside(stages[-1], accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
 
-    def _claim_of(self, effect: Effect) -> float:
-        return self.claim - (CONSTANT_LESS if effect.is_of_constants else 0.0)
-
     def _needed(self, effect: Effect, accepted: Sequence[Accepted]) -> float:
         """Nats that this one must have as one cause more."""
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        return self._claim_of(effect) + min(wrong, _MOST_OF_FORM)
+        return claim_of(effect, self.claim) + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -213,7 +216,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= self._claim_of(earlier.tried.effect):
+            if found.evidence - less.evidence >= claim_of(earlier.tried.effect, self.claim):
                 continue
             found = less
             accepted.remove(earlier)
@@ -346,6 +349,11 @@ class Explainer:
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)
+
+
+def claim_of(effect: Effect, claim: float) -> float:
+    """Nats that a first cause must have to be named, of the ``claim`` of an explanation."""
+    return claim - (CONSTANT_LESS if effect.is_of_constants else 0.0)
 
 
 def _tried(before: Found, effect: Effect, fit: Found) -> Tried:

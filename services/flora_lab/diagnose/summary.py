@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from flora_lab.diagnose.diagnosis import NamedCause
+from flora_lab.diagnose.explain import Explanation, claim_of
+from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME
+
+_WORTH_A_WORD: Final = 0.7
+"""Nats: twice as probable."""
 
 
 def title(effect: str) -> str:
@@ -14,8 +20,20 @@ def title(effect: str) -> str:
     return BY_NAME[effect].title
 
 
-def summary(causes: Sequence[NamedCause], left: Left) -> str:
-    """What was found."""
+def nearest(explanation: Explanation) -> str:
+    """What comes nearest to a cause where none is named, in a sentence; empty where little speaks for any."""
+    best = explanation.nearest
+    if best is None or best.gain < _WORTH_A_WORD:
+        return ""
+    needed = claim_of(best.effect, explanation.claim)
+    return (
+        f"Nearest to a name comes {title(best.effect.name).lower()}: with it the runs are "
+        f"{times_as_probable(best.gain)}; a name takes {times(needed)}."
+    )
+
+
+def summary(causes: Sequence[NamedCause], left: Left, nearest: str = "") -> str:
+    """What was found; where nothing is wrong, with what came :func:`nearest`."""
     if not causes:
         if left.unnamed is not None:
             return f"Something is at work that is not in the catalogue. A description that fits: {left.unnamed.words}."
@@ -26,6 +44,7 @@ def summary(causes: Sequence[NamedCause], left: Left) -> str:
             )
         return (
             "Nothing is wrong: the runs differ from the simulation by no more than chance and individuals make of it."
+            + (f" {nearest}" if nearest else "")
         )
     told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes)
     if left.unnamed is not None:

@@ -109,8 +109,12 @@ class Unnamed:
 
 def times_as_probable(nats: float) -> str:
     """Evidence as people read it."""
-    times = f"e^{nats:.0f}" if nats > 20.0 else f"{np.exp(nats):,.0f}".replace(",", " ")
-    return f"{times} times as probable as without"
+    return f"{times(nats)} as probable as without"
+
+
+def times(nats: float) -> str:
+    """How many times that is."""
+    return f"e^{nats:.0f} times" if nats > 20.0 else f"{np.exp(nats):,.0f} times".replace(",", " ")
 
 
 def _column(course: Callable[[Moments], Array]) -> Callable[[Moments], Array]:

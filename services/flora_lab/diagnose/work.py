@@ -22,7 +22,7 @@ from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.next_experiment import next_experiment
 from flora_lab.diagnose.residuals import ResidualTables, residuals_of
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.summary import summary
+from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.simulator.corrected import CorrectedSimulator
@@ -185,7 +185,7 @@ def diagnose(
         residuals=_with_left(said, left, explanation, start.known),
         gain=gain,
         next_experiment=asked,
-        summary=summary(causes, left),
+        summary=summary(causes, left, nearest(explanation)),
         described=_described(left),
         record=list(runs.notes),
         runs=[str(track.file) for track in runs.tracks],
