@@ -136,6 +136,19 @@ def test_a_swing_of_the_tip_is_named() -> None:
         assert low <= cause.parameters[name] <= high
 
 
+def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    with one_blas_thread():
+        explainer = Explainer(scenes_of((82, 83), swing=(2.4, 0.8)), known())
+        stage = explainer.explain().stages[0]
+        assert stage.tried[0].swing is not None
+        assert stage.has_no_name(explainer.nameless) is False
+        # As if what is left in the hours' means spoke for it more than the swing does for itself.
+        monkeypatch.setattr("flora_lab.diagnose.explain.BETTER", -1e6)
+        again = explainer.explain()
+    assert [one.tried.effect.name for one in again.accepted] == ["circumnutation"]
+    assert again.unnamed is None
+
+
 def test_the_order_of_runs_does_not_matter() -> None:
     there, back = explained("late"), explained("late", (81, 80))
     assert names(there) == names(back)

@@ -33,7 +33,7 @@ FORM: Final = 0.015
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
 _MOST_OF_FORM: Final = 10.0
 """Nats that this comes to at most."""
-OF_A_SWING: Final = 0.0003
+OF_A_SWING: Final = 0.0001
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
 SWING: Final = "circumnutation"
@@ -168,8 +168,11 @@ class Explainer:
                 if not stages:
                     null = better
                 stage = self.stage(joint, better, swing)
-            stages.append(stage)
             best = stage.tried[0]
+            if best.swing is not None and stage.has_no_name(self.nameless):
+                # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
+                stage = replace(stage, unnamed=self._unnamed_beside(best.swing, stage.before))
+            stages.append(stage)
             if (
                 best.gain < self._needed(best.effect, accepted)
                 or len(accepted) == MOST_CAUSES
@@ -256,6 +259,10 @@ class Explainer:
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
         return found
+
+    def _unnamed_beside(self, swing: Swing, before: Found) -> Unnamed | None:
+        joint = self._joint(swing)
+        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)[0]
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""
