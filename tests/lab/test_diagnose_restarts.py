@@ -111,6 +111,21 @@ def test_the_law_goes_on_remembering_over_a_gap(tmp_path: Path) -> None:
     assert apart[16 * PER_H :].max() < 0.15
 
 
+def test_plants_that_part_later_are_those_that_were_always_apart(tmp_path: Path) -> None:
+    """To the bit, over a gap too, and wherever between two told rows they part."""
+    scene = Scene(placed(with_gap(quiet(turns(24.0, 6.0)), tmp_path, (10.5, 13.4))), LAW)
+    assert len(scene.restarts) == 1
+    since = np.array([0, 0, 7, 100, scene.restarts[0].step, 200, scene.steps])
+    steps = np.arange(scene.steps)[:, None]
+    pushes = np.where(steps >= since, 0.02 * np.random.default_rng(1).standard_normal((scene.steps, len(since))), 0.0)
+    drives = {"bias": pushes * (np.arange(len(since)) > 0)}
+    lanes = Lanes(np.repeat(TYPICAL[None], len(since), axis=0), np.zeros((len(since), 2)), [Change()] * len(since))
+    apart = scene.points(lanes, drives)
+    assert np.array_equal(scene.points(lanes, drives, since=since), apart)
+    assert np.array_equal(apart[:, -1], apart[:, 0])
+    assert not np.array_equal(apart[:, 1], apart[:, 0])
+
+
 def test_what_gaps_leave_unknown_is_as_large_as_it_may_be(tmp_path: Path) -> None:
     light = turns(24.0, 6.0)
     run = placed(with_gap(quiet(light), tmp_path, (11.74, 12.21)))
