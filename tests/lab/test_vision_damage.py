@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -31,6 +33,7 @@ from flora_common.vision.reading import NO_STEM, StemReading
 
 DRAWN, EACH = (5002, 5003), 5 * len(KINDS)
 TWIN, OF_TWIN = 301, 3 * len(KINDS)
+PROCESSES = 2
 MOST_MISLED = 1
 """In many thousand pictures a few are misread; of these here hardly any."""
 NEVER_OK = ("cut", "other size", "turned", "black", "white", "grey", "no plant", "foreign", "nothing", "text")
@@ -40,7 +43,8 @@ NEVER_OK = ("cut", "other size", "turned", "black", "white", "grey", "no plant",
 @pytest.fixture(scope="module")
 def results() -> list[Result]:
     jobs = [("drawn", seed, EACH) for seed in DRAWN] + [("twin", TWIN, OF_TWIN)]
-    return [result for job in jobs for result in fuzzed(*job)]
+    with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
+        return [result for one in pool.map(fuzzed, *zip(*jobs, strict=True)) for result in one]
 
 
 def test_no_damaged_picture_ends_the_service(results: list[Result]) -> None:
