@@ -24,7 +24,7 @@ from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.survey import ByteArray, Survey
 from flora_common.vision.path.tip import Tip, find_tip
 
-MOST_LOOKS: Final = 5
+MOST_LOOKS: Final = 4
 """Pictures in a row of which only a part is looked at."""
 LONGEST_S: Final = 1200.0
 """A stem that was seen longer ago may be anywhere."""
