@@ -32,8 +32,8 @@ def nearest(explanation: Explanation) -> str:
     )
 
 
-def summary(causes: Sequence[NamedCause], left: Left, nearest: str = "") -> str:
-    """What was found; where nothing is wrong, with what came :func:`nearest`."""
+def summary(causes: Sequence[NamedCause], left: Left, next_best: str = "") -> str:
+    """What was found; where nothing is wrong, with what came nearest to a name, see :func:`nearest`."""
     if not causes:
         if left.unnamed is not None:
             return f"Something is at work that is not in the catalogue. A description that fits: {left.unnamed.words}."
@@ -44,7 +44,7 @@ def summary(causes: Sequence[NamedCause], left: Left, nearest: str = "") -> str:
             )
         return (
             "Nothing is wrong: the runs differ from the simulation by no more than chance and individuals make of it."
-            + (f" {nearest}" if nearest else "")
+            + (f" {next_best}" if next_best else "")
         )
     told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes)
     if left.unnamed is not None:
