@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,9 +23,20 @@ from flora_common.messages import Health
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 # Small matrices in two threads that wait for each other take fifty times as long where something else runs beside.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Started in the background of a script, a process ignores Ctrl-C, and so does all that it starts: tests of Ctrl-C would
+# wait for ever.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 COMMANDS = Path(sys.executable).parent
 DEADLINE_S = 20.0
+SLOW_TIMEOUT_S = 3600.0
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Those that take minutes may."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT_S))
 
 
 class PrivateBus:

@@ -169,9 +169,6 @@ class Explainer:
                     null = better
                 stage = self.stage(joint, better, swing)
             best = stage.tried[0]
-            if best.swing is not None and stage.has_no_name(self.nameless):
-                # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
-                stage = replace(stage, unnamed=self._unnamed_beside(best.swing, stage.before))
             stages.append(stage)
             if (
                 best.gain < self._needed(best.effect, accepted)
@@ -252,6 +249,10 @@ class Explainer:
             if own.gain > 0.0:
                 tried.insert(place, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
+        own_swing = found.tried[0].swing
+        if own_swing is not None and found.has_no_name(self.nameless):
+            # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
+            found = replace(found, unnamed=self._unnamed_beside(own_swing, before))
         if swing is not None or before.hypothesis.causes:
             return found
         if found.has_no_name(self.nameless):
