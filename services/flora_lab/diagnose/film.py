@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
@@ -63,12 +64,20 @@ def film(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     canvas: Any = figure.canvas
     canvas.draw()  # settles the layout, which must not move from frame to frame
     figure.set_layout_engine("none")
+    # what stays is drawn once, and what moves upon it
+    moving = [clock, *(artist for panel in panels for artist in panel.moving)]
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
     pictures = []
     for moment_h in np.linspace(0.0, longest_h, min(FRAMES, max(len(run.time_h) for run in runs))):
         clock.set_text(f"{moment_h:5.1f} h")
         for panel in panels:
             panel.show(float(moment_h))
-        canvas.draw()
+        canvas.restore_region(still)
+        for artist in moving:
+            figure.draw_artist(artist)
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
     return gif(pictures, frame_ms=FRAME_MS)
 
@@ -98,6 +107,11 @@ class _Panel:
             for x, side in zip(_LAMP_SIDES, LAMPS, strict=True)
         )
         return cls(run, stems, lines, tips, trails, (left, right))
+
+    @property
+    def moving(self) -> list[Artist]:
+        """From the back to the front."""
+        return sorted([*self.lamps, *self.lines, *self.tips, *self.trails], key=lambda artist: artist.get_zorder())
 
     def show(self, moment_h: float) -> None:
         """As it is so long after the start."""
