@@ -39,8 +39,8 @@ rollback-rig: setup  ## go back to the release that ran before (RIG=user@host)
 wheels: setup  ## is there a wheel of each of the rig's packages for a Raspberry Pi?
 	@$(BIN)/python deploy/rig_wheels.py
 
-test: setup  ## run the tests
-	@$(BIN)/python -m pytest
+test: setup  ## run the tests, two files at a time (JOBS=2)
+	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
 
 test-slow: setup  ## the tests that take minutes
 	@$(BIN)/python -m pytest -m slow

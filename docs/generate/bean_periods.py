@@ -65,7 +65,8 @@ def figures(found: list[Record]) -> dict[str, float]:
     slopes = np.array([_slope(m) for m in long])
     neighbours = np.array([np.corrcoef(_rest(m)[:-1], _rest(m)[1:])[0, 1] for m in long])
     rng = np.random.default_rng(1)
-    shuffled = np.array([np.mean([_slope(rng.permutation(m)) for m in long]) for _ in range(SHUFFLES)])
+    orders = [rng.permuted(np.repeat(m[:, None], SHUFFLES, axis=1), axis=0) for m in long]
+    shuffled = np.mean([_slope(columns) for columns in orders], axis=0)
     return {
         "plants": len(plants),
         "records": len(found),
@@ -117,8 +118,9 @@ def _place(column: str) -> tuple[int, str]:
     return len(column), column
 
 
-def _slope(minutes: np.ndarray) -> float:
-    return float(np.polynomial.polynomial.polyfit(np.arange(len(minutes)), minutes, 1)[1])
+def _slope(minutes: np.ndarray) -> np.ndarray:
+    """Of a record, or of each column of several that are as long."""
+    return np.polynomial.polynomial.polyfit(np.arange(len(minutes)), minutes, 1)[1]
 
 
 def _rest(minutes: np.ndarray) -> np.ndarray:

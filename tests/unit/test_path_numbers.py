@@ -182,16 +182,16 @@ def test_a_turn_that_flickers_is_evened_and_one_that_drifts_is_followed() -> Non
     rng = np.random.default_rng(4)
     flicker, drift, state = [], [], None
     for i in range(100):
-        state = steady.believed(state, 300.0 * i, 0.2 + rng.normal(0.0, 0.05), 1.5)
+        state = steady.believed(state, 300.0 * i, 0.2 + rng.normal(0.0, 0.05))
         flicker.append(state.turn_rad)
     assert np.std(np.diff(flicker[10:])) < 0.5 * 0.05 * 2.0**0.5
     state = None
     for i in range(100):
-        state = steady.believed(state, 300.0 * i, 0.1 * i / 12.0, 1.5)
+        state = steady.believed(state, 300.0 * i, 0.1 * i / 12.0)
         drift.append(state.turn_rad - 0.1 * i / 12.0)
     assert abs(drift[-1]) < 0.04
 
 
 def test_another_shape_is_taken_as_it_is() -> None:
-    state = steady.believed(steady.TurnState(0.0, 0.0, 1e-4), 300.0, 0.9, 0.1)
+    state = steady.believed(steady.TurnState(0.0, 0.0, 1e-4), 300.0, 0.9)
     assert state.turn_rad == 0.9

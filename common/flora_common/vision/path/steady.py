@@ -18,11 +18,10 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path.curve import arc_length
 
 SECTION_CM: Final = 1.8
-DRIFT_RAD_PER_ROOT_H: Final = 0.12
-SURE_CM, UNSURE_PER_CM = 0.02, 0.04
-"""Standard deviation of the tip across the stem: at least the first, and more by the second for every cm of which the
-stem was carried on without being measured."""
-SURPRISE: Final = 3.0
+DRIFT_RAD_PER_ROOT_H: Final = 0.09
+ERROR_CM: Final = 0.06
+"""Standard deviation of the tip across the stem; how much of its end was carried on, unmeasured, says nothing of it."""
+SURPRISE: Final = 5.0
 """In standard deviations: what is farther off is another shape, and taken as it is."""
 
 
@@ -56,16 +55,15 @@ def turn_of(line: FloatArray, section_px: float) -> float | None:
     return float(np.arctan2(first[0] * second[1] - first[1] * second[0], first @ second))
 
 
-def believed(before: TurnState | None, time_s: float, turn_rad: float, unmeasured_cm: float) -> TurnState:
+def believed(before: TurnState | None, time_s: float, turn_rad: float) -> TurnState:
     """The belief after a picture.
 
     Args:
         before: the belief so far; None for the first picture.
         time_s: of the picture.
         turn_rad: as measured.
-        unmeasured_cm: length at the stem's end that was carried on.
     """
-    var = ((SURE_CM + UNSURE_PER_CM * unmeasured_cm) / SECTION_CM) ** 2
+    var = (ERROR_CM / SECTION_CM) ** 2
     if before is None:
         return TurnState(time_s, turn_rad, var)
     hours = max(0.0, time_s - before.time_s) / 3600.0

@@ -79,11 +79,6 @@ class Tip:
     open_end: bool
     error_px: float
 
-    @property
-    def carried_on_px(self) -> float:
-        """Length from the last sure place to the tip."""
-        return STEP * len(self.places)
-
 
 def find_tip(
     stem: Stem,

@@ -193,7 +193,7 @@ class PathTracker:
         if not nearby.same_stem(stem, before, memory.seen, scale):
             return None
         belief = self._belief(stem, tip, time_s)
-        final, turn = self._steadied(as_long_as(stem, tip, belief.length_cm * scale), tip, time_s)
+        final, turn = self._steadied(as_long_as(stem, tip, belief.length_cm * scale), time_s)
         mask = plant_mask(evidence, self._widest_px)
         beyond = doubts.beyond_px(final.line, mask, evidence.origin_px, scale)
         above_cm, ahead_cm = (nearby.DOUBTS_SOONER * v / scale for v in beyond)
@@ -236,7 +236,7 @@ class PathTracker:
             fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s)
         final = as_long_as(fit.reached, fit.tip, belief.length_cm * scale)
-        final, turn = self._steadied(final, fit.tip, time_s)
+        final, turn = self._steadied(final, time_s)
         above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands.mask, strands.origin_px, scale))
         doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm)
         doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
@@ -307,14 +307,14 @@ class PathTracker:
             return False
         return math.dist(chain.points[-1], self.memory.line_px[-1]) < SAME_TIP_CM * self.camera.px_per_cm
 
-    def _steadied(self, stem: Stem, tip: Tip, time_s: float) -> tuple[Stem, TurnState | None]:
+    def _steadied(self, stem: Stem, time_s: float) -> tuple[Stem, TurnState | None]:
         """The stem with its end bent to what is believed of it, and that belief."""
         scale = self.camera.px_per_cm
         measured = steady.turn_of(stem.line, steady.SECTION_CM * scale)
         if measured is None:
             return stem, None
         before = self.memory.turn if self.memory else None
-        turn = steady.believed(before, time_s, measured, tip.carried_on_px / scale)
+        turn = steady.believed(before, time_s, measured)
         line = steady.bent(stem.line, turn.turn_rad - measured, steady.SECTION_CM * scale)
         return replace(stem, line=line), turn
 
