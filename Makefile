@@ -40,7 +40,7 @@ wheels: setup  ## is there a wheel of each of the rig's packages for a Raspberry
 	@$(BIN)/python deploy/rig_wheels.py
 
 test: setup  ## run the tests, two files at a time (JOBS=2)
-	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
+	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 test-slow: setup  ## the tests that take minutes
 	@$(BIN)/python -m pytest -m slow
