@@ -181,7 +181,7 @@ def test_bending_a_line_changes_its_turn_by_so_much_and_nothing_below_the_sectio
 def test_a_turn_that_flickers_is_evened_and_one_that_drifts_is_followed() -> None:
     rng = np.random.default_rng(4)
     flicker, drift, state = [], [], None
-    for i in range(100):
+    for i in range(1000):
         state = steady.believed(state, 300.0 * i, 0.2 + rng.normal(0.0, 0.05))
         flicker.append(state.turn_rad)
     assert np.std(np.diff(flicker[10:])) < 0.5 * 0.05 * 2.0**0.5

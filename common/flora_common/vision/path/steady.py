@@ -18,7 +18,7 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path.curve import arc_length
 
 SECTION_CM: Final = 1.8
-DRIFT_RAD_PER_ROOT_H: Final = 0.09
+DRIFT_RAD_PER_ROOT_H: Final = 0.1
 ERROR_CM: Final = 0.06
 """Standard deviation of the tip across the stem; how much of its end was carried on, unmeasured, says nothing of it."""
 SURPRISE: Final = 5.0
