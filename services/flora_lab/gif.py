@@ -1,12 +1,14 @@
-"""Drawn pictures as a film that any page can show: an animated GIF of few colours."""
+"""Drawn pictures as a film that any page can show: a figure at several moments, as an animated GIF of few colours."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
 from PIL import Image
 
 LAST_FRAME_MS: Final = 2500
@@ -14,6 +16,41 @@ COLOURS: Final = 48
 """Of the film's palette: edges of lines are smooth with as many, and a frame takes few bytes."""
 NEARLY: Final = 8
 """Steps of 255: Pillow looks colours up in cells of 4 steps, and may take a neighbour for the colour itself."""
+
+
+def pictures_of(
+    figure: Figure, moving: Sequence[Artist], moments: Iterable[float], show: Callable[[float], None]
+) -> list[Image.Image]:
+    """A figure at several moments, RGB; only what moves is drawn for each.
+
+    Args:
+        figure: its layout is settled by now, with all that moves in it.
+        moving: from the back to the front.
+        moments: to draw.
+        show: brings what moves to where it is at a moment.
+    """
+    canvas: Any = figure.canvas
+    for artist in moving:
+        artist.set_visible(False)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    for artist in moving:
+        artist.set_visible(True)
+    pictures = []
+    for moment in moments:
+        canvas.restore_region(still)
+        show(moment)
+        for artist in moving:
+            figure.draw_artist(artist)
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
+    return pictures
+
+
+def settle_layout(figure: Figure) -> None:
+    """Everything stays where it is now, whatever is drawn later."""
+    canvas: Any = figure.canvas
+    canvas.draw()
+    figure.set_layout_engine("none")
 
 
 def gif(pictures: Sequence[Image.Image], *, frame_ms: int) -> bytes:

@@ -10,7 +10,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
-from PIL import Image
 
 from flora_common.geometry import FloatArray
 from flora_common.runs import Light
@@ -18,7 +17,7 @@ from flora_lab.diagnose.figure_parts import MEASURED, legend
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.residuals import ResidualTables
 from flora_lab.figure_style import BLUE, LAMP_COLOURS, ORANGE, drawable, new_figure
-from flora_lab.gif import gif
+from flora_lab.gif import gif, pictures_of, settle_layout
 
 FRAMES: Final = 73
 """One an hour for a run of three days."""
@@ -61,25 +60,16 @@ def film(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         panels.append(_Panel.on(ax, run, own))
     figure.supxlabel(" ", fontsize=10)
     longest_h = max(float(run.time_h[-1]) for run in runs)
-    canvas: Any = figure.canvas
-    canvas.draw()  # settles the layout, which must not move from frame to frame
-    figure.set_layout_engine("none")
-    # what stays is drawn once, and what moves upon it
-    moving = [clock, *(artist for panel in panels for artist in panel.moving)]
-    for artist in moving:
-        artist.set_animated(True)
-    canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)
-    pictures = []
-    for moment_h in np.linspace(0.0, longest_h, min(FRAMES, max(len(run.time_h) for run in runs))):
+    settle_layout(figure)
+
+    def show(moment_h: float) -> None:
         clock.set_text(f"{moment_h:5.1f} h")
         for panel in panels:
-            panel.show(float(moment_h))
-        canvas.restore_region(still)
-        for artist in moving:
-            figure.draw_artist(artist)
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
-    return gif(pictures, frame_ms=FRAME_MS)
+            panel.show(moment_h)
+
+    moments_h = np.linspace(0.0, longest_h, min(FRAMES, max(len(run.time_h) for run in runs)))
+    moving = [clock, *(artist for panel in panels for artist in panel.moving)]
+    return gif(pictures_of(figure, moving, moments_h.tolist(), show), frame_ms=FRAME_MS)
 
 
 @dataclass(frozen=True, slots=True)

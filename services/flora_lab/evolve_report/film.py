@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from PIL import Image
 
 from flora_common.runs import Light
 from flora_lab import judging
@@ -22,7 +20,7 @@ from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
 from flora_lab.evolve_report.scene import Window, draw_lamps, draw_scenario, light_lamps, side, window_of
 from flora_lab.figure_style import TARGET, new_figure
-from flora_lab.gif import gif
+from flora_lab.gif import gif, pictures_of, settle_layout
 
 FRAMES: Final = 60
 FRAME_MS: Final = 120
@@ -53,7 +51,17 @@ def episodes_film(episodes: Sequence[EpisodeTrack], task: Task) -> bytes:
     panels = [_Panel.on(ax, episode, task, window) for ax, episode in zip(axes, shown, strict=False)]
     longest_s = max(float(episode.time_s[-1] - episode.time_s[0]) for episode in shown)
     moments = np.linspace(0.0, longest_s, min(FRAMES, max(len(episode.time_s) for episode in shown)))
-    return gif(_pictures(figure, panels, clock, moments.tolist()), frame_ms=FRAME_MS)
+    settle_layout(figure)
+    for panel in panels:
+        panel.ax.spines[["top", "right"]].set_visible(False)
+
+    def show(second: float) -> None:
+        clock.set_text(f"{second / 3600.0:5.1f} h")
+        for panel in panels:
+            panel.show(second)
+
+    moving = [clock, *(artist for panel in panels for artist in panel.moving)]
+    return gif(pictures_of(figure, moving, moments.tolist(), show), frame_ms=FRAME_MS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,35 +103,3 @@ class _Panel:
         self.tip.set_data(stems[row, -1:, 0], stems[row, -1:, 1])
         self.told.set_visible(is_over)
         light_lamps(self.lamps, None if is_over else side(bool(self.episode.is_right[row])))
-
-    def draw(self) -> None:
-        for artist in self.moving:
-            self.ax.draw_artist(artist)
-
-    def set_visible(self, is_visible: bool) -> None:
-        for artist in self.moving:
-            artist.set_visible(is_visible)
-
-
-def _pictures(figure: Figure, panels: list[_Panel], clock: Text, moments: list[float]) -> list[Image.Image]:
-    """One picture per moment; what does not move is drawn once."""
-    canvas: Any = figure.canvas
-    canvas.draw()  # settles the layout while everything is there
-    figure.set_layout_engine("none")
-    for panel in panels:
-        panel.ax.spines[["top", "right"]].set_visible(False)
-        panel.set_visible(False)
-    canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)
-    pictures = []
-    for panel in panels:
-        panel.set_visible(True)
-    for moment in moments:
-        canvas.restore_region(still)
-        clock.set_text(f"{moment / 3600.0:5.1f} h")
-        figure.draw_artist(clock)
-        for panel in panels:
-            panel.show(moment)
-            panel.draw()
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
-    return pictures
