@@ -95,7 +95,7 @@ class PrivateBus:
     def hear(
         self, client: BusClient, until: Callable[[list[Arrival]], bool], *, deadline_s: float = DEADLINE_S
     ) -> list[Arrival]:
-        """Receive until a condition on all that came holds."""
+        """Receive until a condition on all that came holds; what came after that is left for the next time."""
         poller = zmq.Poller()
         poller.register(client.subscriber, zmq.POLLIN)
         poller.register(client.publisher, zmq.POLLIN)
@@ -106,7 +106,7 @@ class PrivateBus:
             assert left_s > 0, f"not heard in {deadline_s} s; heard: {heard[-5:]}; {self.what_they_said()}"
             poller.poll(max(1, round(min(left_s, 1.0) * 1000)))
             client.handle_publisher()
-            heard += client.receive_all()
+            heard += client.receive_all(1)
         return heard
 
     def wait_ready(self, client: BusClient, *services: str) -> None:

@@ -13,6 +13,8 @@ from flora_common.service import run_service
 from flora_recorder.core import Limits, Recorder, RecorderSection
 
 LAST_BATCHES: Final = 8
+LAST_QUIET_MS: Final = 100
+"""What was published before the end may still be on its way."""
 
 
 def build(app: App[RecorderSection]) -> None:
@@ -60,7 +62,9 @@ def build(app: App[RecorderSection]) -> None:
         guarded(lambda: recorder.hear(arrival))
 
     def finish() -> None:
-        for _ in range(LAST_BATCHES):  # what has arrived already
+        for _ in range(LAST_BATCHES):
+            if not app.bus.subscriber.poll(LAST_QUIET_MS):
+                break
             for arrival in app.bus.receive_all():
                 hear(arrival)
         try:

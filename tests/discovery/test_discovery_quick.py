@@ -1,7 +1,7 @@
 """A few hidden effects, drawn by seeds fixed beforehand, have to be found; healthy runs must be left alone.
 
-`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: four in `make test`, two
-minutes of two cores, and three more in `make test-slow`.
+`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: one of each kind in
+`make test`, some two minutes of two cores, and four more in `make test-slow`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ WHICH = 7_000
 """Seed that decides on the effects."""
 NOTHING = ((0, 7_101), (1, 7_102))
 OUTSIDE = (0, 7_201)
-QUICK = (7_003, 7_004, 7_102, 7_201)
+QUICK = (7_003, 7_102, 7_201)
 CORES = 2
 
 

@@ -161,6 +161,7 @@ print(told.hexdigest())
 """
 
 
+@pytest.mark.slow
 @on_x86
 def test_plants_do_not_depend_on_the_width_of_registers() -> None:
     # two numbers at a time, four, and as many as this processor can
