@@ -21,15 +21,17 @@ NEARLY: Final = 8
 def pictures_of(
     figure: Figure, moving: Sequence[Artist], moments: Iterable[float], show: Callable[[float], None]
 ) -> list[Image.Image]:
-    """A figure at several moments, RGB; only what moves is drawn for each.
+    """A figure at several moments, RGB, laid out as it is now; only what moves is drawn for each.
 
     Args:
-        figure: its layout is settled by now, with all that moves in it.
+        figure: with all that moves in it.
         moving: from the back to the front.
         moments: to draw.
         show: brings what moves to where it is at a moment.
     """
     canvas: Any = figure.canvas
+    canvas.draw()  # settles the layout, which must not move from picture to picture
+    figure.set_layout_engine("none")
     for artist in moving:
         artist.set_visible(False)
     canvas.draw()
@@ -44,13 +46,6 @@ def pictures_of(
             figure.draw_artist(artist)
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
     return pictures
-
-
-def settle_layout(figure: Figure) -> None:
-    """Everything stays where it is now, whatever is drawn later."""
-    canvas: Any = figure.canvas
-    canvas.draw()
-    figure.set_layout_engine("none")
 
 
 def gif(pictures: Sequence[Image.Image], *, frame_ms: int) -> bytes:

@@ -17,7 +17,7 @@ from flora_lab.diagnose.figure_parts import MEASURED, legend
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.residuals import ResidualTables
 from flora_lab.figure_style import BLUE, LAMP_COLOURS, ORANGE, drawable, new_figure
-from flora_lab.gif import gif, pictures_of, settle_layout
+from flora_lab.gif import gif, pictures_of
 
 FRAMES: Final = 73
 """One an hour for a run of three days."""
@@ -60,7 +60,6 @@ def film(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         panels.append(_Panel.on(ax, run, own))
     figure.supxlabel(" ", fontsize=10)
     longest_h = max(float(run.time_h[-1]) for run in runs)
-    settle_layout(figure)
 
     def show(moment_h: float) -> None:
         clock.set_text(f"{moment_h:5.1f} h")

@@ -20,7 +20,7 @@ from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
 from flora_lab.evolve_report.scene import Window, draw_lamps, draw_scenario, light_lamps, side, window_of
 from flora_lab.figure_style import TARGET, new_figure
-from flora_lab.gif import gif, pictures_of, settle_layout
+from flora_lab.gif import gif, pictures_of
 
 FRAMES: Final = 60
 FRAME_MS: Final = 120
@@ -51,7 +51,6 @@ def episodes_film(episodes: Sequence[EpisodeTrack], task: Task) -> bytes:
     panels = [_Panel.on(ax, episode, task, window) for ax, episode in zip(axes, shown, strict=False)]
     longest_s = max(float(episode.time_s[-1] - episode.time_s[0]) for episode in shown)
     moments = np.linspace(0.0, longest_s, min(FRAMES, max(len(episode.time_s) for episode in shown)))
-    settle_layout(figure)
     for panel in panels:
         panel.ax.spines[["top", "right"]].set_visible(False)
 
