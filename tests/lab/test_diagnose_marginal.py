@@ -64,7 +64,11 @@ def differ(spread: Array) -> Array:
 
 @pytest.mark.parametrize(
     "factors",
-    [(1.0,) * len(DRIVES), (3.0, 0.5, 0.5, 2.0, 0.6, 2.0, 2.0), (0.5, 2.0, 2.5, 0.5, 3.0, 1.5, 3.0)],
+    [
+        (1.0,) * len(DRIVES),
+        (3.0, 0.5, 0.5, 2.0, 0.6, 2.0, 2.0),
+        pytest.param((0.5, 2.0, 2.5, 0.5, 3.0, 1.5, 3.0), marks=pytest.mark.slow),
+    ],
 )
 def test_sizes_of_chance_are_found_again(factors: tuple[float, ...]) -> None:
     truth = sizes_expected()
@@ -78,7 +82,7 @@ def test_sizes_of_chance_are_found_again(factors: tuple[float, ...]) -> None:
         assert found[drive] == pytest.approx(wanted, rel=0.35, abs=0.1 * largest), drive
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.6])
+@pytest.mark.parametrize("factor", [0.6, pytest.param(1.0, marks=pytest.mark.slow), 1.6])
 def test_how_plants_differ_is_told_apart_from_chance(factor: float) -> None:
     """Over a few kinds: nine plants of one may by chance be alike."""
     truth = factor**2 * prior_spread()

@@ -50,6 +50,7 @@ def test_a_rhythm_that_is_no_cause_is_described() -> None:
     assert np.arctan2(found.size[1], found.size[0]) * 24.0 / (2.0 * np.pi) == pytest.approx(7.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_hour_from_which_on_plants_grow_slower_is_told() -> None:
     found = explained("late").unnamed
     assert found is not None
@@ -58,7 +59,7 @@ def test_the_hour_from_which_on_plants_grow_slower_is_told() -> None:
     assert found.size[0] == pytest.approx(-0.6, abs=0.3)
 
 
-@pytest.mark.parametrize("which", sorted(HIDDEN))
+@pytest.mark.parametrize("which", ["by day", pytest.param("late", marks=pytest.mark.slow)])
 def test_no_name_is_given_with_confidence_to_what_has_none(which: str) -> None:
     explanation = explained(which)
     left = left_of(explanation, known())

@@ -32,7 +32,7 @@ def assert_same_evolution(
     return fast, courses
 
 
-@pytest.mark.parametrize(("population", "generations"), [(60, 60), (150, 35)])
+@pytest.mark.parametrize(("population", "generations"), [(60, 60), pytest.param(150, 35, marks=pytest.mark.slow)])
 def test_same_genomes_species_and_random_numbers(population: int, generations: int) -> None:
     for seed in (1, 2):
         engine, _ = assert_same_evolution(load_settings(population=population), seed, generations)

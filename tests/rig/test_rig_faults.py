@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -111,6 +114,27 @@ def test_nothing_is_lost_without_the_nas(running: VirtualRig, name: str) -> None
     finally:
         faults.end(running, name)
     go_on(running, 2)
+
+
+def test_a_nas_that_is_written_to_all_the_time_is_left_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root needs a mount for it")
+    nas, mount = tmp_path / "nas", faults._mount
+    nas.mkdir()
+    with ExitStack() as written:
+
+        def and_write(*arguments: str) -> None:
+            mount(*arguments)
+            if "--bind" in arguments:
+                written.enter_context((nas / "open").open("w"))
+
+        monkeypatch.setattr(faults, "_mount", and_write)
+        monkeypatch.setattr(faults, "_MOUNT_TRIES", 2)
+        with pytest.raises(FloraError, match="cannot be mounted"):
+            faults._make_read_only(nas)
+    assert not nas.is_mount()
 
 
 def test_a_schedule_of_faults_strikes_and_passes(virtual_rig: Callable[..., VirtualRig]) -> None:

@@ -162,7 +162,7 @@ def test_what_is_known_of_a_stem_outlasts_a_picture_that_is_not_clear_if_that_en
     assert nearby.since_clear(near, other, before, SCALE) is None
 
 
-@pytest.mark.parametrize("seed", [202, 204])
+@pytest.mark.parametrize("seed", [202, pytest.param(204, marks=pytest.mark.slow)])
 def test_near_the_stem_the_same_is_seen_as_in_the_whole_picture(seed: int) -> None:
     run = twin_run(seed, hours=1.0)
     one = PathTracker(from_background([decode_picture(jpeg, where="empty") for jpeg in run.background]), run.camera)

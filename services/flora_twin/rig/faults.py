@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from flora_twin.faults import MENU
 from flora_twin.rig.virtual_rig import BUS, SERVICES, Seen, VirtualRig
 
 _FORM: Final = re.compile(r"^(?P<name>\w+)@(?P<at>\d+(\.\d+)?)h?(:(?P<for>\d+(\.\d+)?)h?)?(=(?P<argument>[\w.+-]+))?$")
+_MOUNT_TRIES: Final = 20
+_MOUNT_AGAIN_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,16 +139,29 @@ def _make_read_only(nas: Path) -> None:
     if os.geteuid() != 0:
         nas.chmod(0o555)
         return
-    for arguments in (["--bind", str(nas), str(nas)], ["-o", "remount,ro,bind", str(nas)]):
-        done = subprocess.run(["mount", *arguments], capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise FloraError(f"nas_read_only: {nas} cannot be mounted read-only here: {done.stderr.strip()}")
+    _mount("--bind", str(nas), str(nas))
+    for tries_left in reversed(range(_MOUNT_TRIES)):
+        try:
+            _mount("-o", "remount,ro,bind", str(nas))
+            return
+        except FloraError:  # as long as a file there is open for writing
+            if not tries_left:
+                _make_writable(nas)
+                raise
+            time.sleep(_MOUNT_AGAIN_S)
+
+
+def _mount(*arguments: str) -> None:
+    done = subprocess.run(["mount", *arguments], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise FloraError(f"nas_read_only: {arguments[-1]} cannot be mounted read-only here: {done.stderr.strip()}")
 
 
 def _make_writable(nas: Path) -> None:
     if os.geteuid() != 0:
         nas.chmod(0o755)
         return
-    done = subprocess.run(["umount", str(nas)], capture_output=True, text=True, check=False)
+    # Whoever has a file open there keeps it; a mount that were left behind could not even be deleted.
+    done = subprocess.run(["umount", "--lazy", str(nas)], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise OSError(errno.EBUSY, done.stderr.strip(), str(nas))
