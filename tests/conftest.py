@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -30,6 +31,23 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 COMMANDS = Path(sys.executable).parent
 DEADLINE_S = 20.0
 SLOW_TIMEOUT_S = 3600.0
+
+
+EVOLUTION = ("test_evolve_", "test_evaluate_", "test_paper_", "test_diagnose_controllers")
+"""Files in which populations are evaluated."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """File by file; those in which populations are evaluated to one process, for compiling that takes a minute."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByCompiledCode(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = str(super()._split_scope(nodeid))
+            return "evolution" if Path(file).name.startswith(EVOLUTION) else file
+
+    return ByCompiledCode(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
