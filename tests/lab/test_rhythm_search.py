@@ -28,7 +28,7 @@ def test_what_is_expected_of_noise_is_what_drawn_noise_has() -> None:
 
 
 def test_noise_alone_is_called_a_swing_about_as_rarely_as_stated() -> None:
-    alarms, cases = 0, 120
+    alarms, cases = 0, 60
     for seed in range(cases):
         rng = np.random.default_rng(7000 + seed)
         steps = (100, 140, 180)[seed % 3]
