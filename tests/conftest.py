@@ -39,12 +39,14 @@ EVOLUTION = ("test_evolve_", "test_evaluate_", "test_paper_", "test_diagnose_con
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """File by file; those in which populations are evaluated to one process, for compiling that takes a minute."""
+    """File by file; but what takes long to compile goes to one process, so that only that one does."""
     from xdist.scheduler import LoadFileScheduling
 
     class ByCompiledCode(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = str(super()._split_scope(nodeid))
+            if file.startswith("tests/discovery/"):
+                return "worlds"
             return "evolution" if Path(file).name.startswith(EVOLUTION) else file
 
     return ByCompiledCode(config, log)
