@@ -1,8 +1,8 @@
 """A few hidden effects, drawn by seeds fixed beforehand, have to be found; healthy runs must be left alone.
 
-`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: two in `make test`, against the
-same healthy plants, which are learned once, and seven more in `make test-slow`. What has no name is tried in small in
-tests/lab/test_diagnose_unnamed.py.
+`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: two in `make test`,
+against the same healthy plants, which are learned once, and seven more in `make test-slow`. What has no name is tried
+in small in tests/lab/test_diagnose_unnamed.py.
 """
 
 from __future__ import annotations
