@@ -27,8 +27,9 @@ def test_what_is_expected_of_noise_is_what_drawn_noise_has() -> None:
         assert periodogram(records).mean(axis=0) == pytest.approx(grid.noise[k], rel=0.12)
 
 
-def test_noise_alone_is_called_a_swing_about_as_rarely_as_stated() -> None:
-    alarms, cases = 0, 60
+@pytest.mark.parametrize("cases", [60, pytest.param(200, marks=pytest.mark.slow)])
+def test_noise_alone_is_called_a_swing_about_as_rarely_as_stated(cases: int) -> None:
+    alarms = 0
     for seed in range(cases):
         rng = np.random.default_rng(7000 + seed)
         steps = (100, 140, 180)[seed % 3]
@@ -37,9 +38,9 @@ def test_noise_alone_is_called_a_swing_about_as_rarely_as_stated() -> None:
     assert 0.01 * cases <= alarms <= 0.10 * cases
 
 
-def test_swings_are_found_and_their_intervals_hold() -> None:
+@pytest.mark.parametrize("cases", [30, pytest.param(50, marks=pytest.mark.slow)])
+def test_swings_are_found_and_their_intervals_hold(cases: int) -> None:
     claimed, held, sizes_held, wrong_by = 0, 0, 0, []
-    cases = 30
     for seed in range(cases):
         rng = np.random.default_rng(400 + seed)
         steps = int(rng.integers(150, 260))

@@ -134,8 +134,9 @@ def test_the_photographed_stem_lies_about_the_true_centreline(studio: Studio) ->
     assert abs(np.median(off)) < 0.05
 
 
-def test_nothing_of_the_bud_reaches_a_millimetre_past_the_tip() -> None:
-    for seed in range(40, 45):
+@pytest.mark.parametrize("plants", [5, pytest.param(12, marks=pytest.mark.slow)])
+def test_nothing_of_the_bud_reaches_a_millimetre_past_the_tip(plants: int) -> None:
+    for seed in range(40, 40 + plants):
         grown = World(seed)
         grown.set_strips(strip_bytes(LEFT, OFF))
         grown.advance_to(30 * 3600.0)
@@ -148,9 +149,10 @@ def test_nothing_of_the_bud_reaches_a_millimetre_past_the_tip() -> None:
         assert ((stem_mesh(grown.subject(), CAMERA.position_cm).corners_cm - tip) @ along).max() < 0.01
 
 
-def test_leaves_hide_some_of_the_stem_and_hardly_ever_the_tip(studio: Studio) -> None:
+@pytest.mark.parametrize("plants", [6, pytest.param(12, marks=pytest.mark.slow)])
+def test_leaves_hide_some_of_the_stem_and_hardly_ever_the_tip(studio: Studio, plants: int) -> None:
     hidden, tips = [], []
-    for seed in range(200, 206):
+    for seed in range(200, 200 + plants):
         grown = World(seed)
         for hours, lights in ((36.0, (LEFT, OFF)), (60.0, (OFF, LEFT))):
             grown.set_strips(strip_bytes(*lights))
