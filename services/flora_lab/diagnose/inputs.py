@@ -85,11 +85,7 @@ def read_holdout(paths: Sequence[Path], measured: Runs) -> Runs | None:
     if not paths:
         return None
     held_out = read_runs(paths)
-    own = {track.sha256: track for track in measured.tracks}
-    for track in held_out.tracks:
-        twin = own.get(track.sha256)
-        if twin is not None:
-            raise BadInput(f"{track.file}: is also to be diagnosed ({twin.file}); a run that is held out cannot be")
+    _check_others(held_out, measured, "a run that is held out cannot be")
     return held_out
 
 
@@ -122,13 +118,18 @@ def read_reference(folder: Path, measured: Runs) -> Runs:
             f"{folder}: holds {len(inner)} runs with a track; at least {FEWEST_REFERENCES} are needed to tell how "
             "plants differ"
         )
-    own = {track.sha256: track for track in measured.tracks}
     reference = read_runs(inner)
-    for path, track in zip(inner, reference.tracks, strict=True):
+    _check_others(reference, measured, "a run cannot be its own reference")
+    return reference
+
+
+def _check_others(runs: Runs, measured: Runs, why: str) -> None:
+    """Raise :class:`BadInput` where one of the runs is also to be diagnosed."""
+    own = {track.sha256: track for track in measured.tracks}
+    for track in runs.tracks:
         twin = own.get(track.sha256)
         if twin is not None:
-            raise BadInput(f"{path}: is also to be diagnosed ({twin.file}); a run cannot be its own reference")
-    return reference
+            raise BadInput(f"{track.file}: is also to be diagnosed ({twin.file}); {why}")
 
 
 def _step_s(track: RunTrack) -> float:
