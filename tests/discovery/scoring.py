@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,6 +114,18 @@ class Outcome:
     def right_alone(self) -> bool:
         """Whether the first name is that of a hidden effect."""
         return bool(self.claimed) and self.claimed[0]["effect"] in self.hidden
+
+    def if_claims_took(self, least_nats: float) -> Outcome:
+        """The same case, were causes with less evidence than this not named; what is ``unexplained`` stays so.
+
+        Told from the evidence that was written down: what a finder with that bar would look for after a cause that it
+        drops, or beside it, is not in it.
+        """
+        if self.diagnosis is None:
+            return self
+        kept = [cause for cause in self.causes if float(cause["nats"]) >= least_nats]
+        verdict = "nothing_wrong" if self.verdict == "explained" and not kept else self.verdict
+        return replace(self, diagnosis={**self.diagnosis, "causes": kept, "verdict": verdict})
 
 
 @dataclass(frozen=True)

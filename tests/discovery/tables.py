@@ -21,6 +21,7 @@ from .scoring import (
 )
 
 FORMS = {0: "same physics", 1: "other physics"}
+BARS_NATS = (4.0, 5.0, 6.0, 8.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Table:
 
 def all_tables(outcomes: Sequence[Outcome]) -> list[Table]:
     """Every table that these outcomes can fill."""
-    tables = [_summary(outcomes), _by_effect(outcomes), _parameters(outcomes), _confusion(outcomes)]
+    tables = [f(outcomes) for f in (_summary, _bars, _by_effect, _parameters, _confusion)]
     return [table for table in tables if table.rows]
 
 
@@ -117,6 +118,27 @@ def _figures(of: dict[str, list[Outcome]], form: int) -> list[tuple[str, Share |
 def _flagged(outcome: Outcome) -> bool:
     causes = outcome.causes
     return outcome.verdict == "unexplained" and bool(causes) and outcome.names(causes[0]) is not None
+
+
+def _bars(outcomes: Sequence[Outcome]) -> Table:
+    """What a reader who asks for more evidence than the command does would be told: rightly, and of nothing."""
+    rows = []
+    for form, physics in FORMS.items():
+        of_form = [o for o in outcomes if o.form == form]
+        if not any(o.kind in {"single", "none"} for o in of_form):
+            continue
+        for least in (0.0, *BARS_NATS):
+            judged = [o.if_claims_took(least) for o in of_form]
+            single = [o for o in judged if o.kind == "single"]
+            healthy = [o for o in judged if o.kind == "none"]
+            shares = (
+                share(o.right for o in single),
+                share(o.right for o in single if o.claimed),
+                share(o.verdict not in {"nothing_wrong", "failed"} for o in healthy),
+            )
+            rows.append((f"{least:g} nats" if least else "as claimed", physics, *map(str, shares)))
+    header = ("names take", "physics", "right cause first", "right of those claimed", "false alarms")
+    return Table("Were more evidence asked for", header, rows)
 
 
 def _by_effect(outcomes: Sequence[Outcome]) -> Table:

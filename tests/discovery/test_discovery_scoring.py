@@ -21,7 +21,8 @@ from discovery.tables import all_tables, as_markdown, as_text
 
 
 def cause(effect: str, confidence: float = 0.9, **more: Any) -> dict[str, Any]:
-    return {"effect": effect, "confidence": confidence, "parameters": {}, "interval": {}, "confusable_with": [], **more}
+    told = {"effect": effect, "confidence": confidence, "parameters": {}, "interval": {}, "confusable_with": []}
+    return {**told, "nats": 20.0, **more}
 
 
 def outcome(
@@ -73,6 +74,21 @@ def test_what_is_not_claimed_has_a_place_by_its_evidence() -> None:
     assert outcome("single", SAG, "explained", cause("sag")).ranked_first
     assert not outcome("single", SAG, "nothing_wrong", considered=[]).ranked_first
     assert not outcome("single", SAG, None).ranked_first
+
+
+def test_more_evidence_can_be_asked_of_what_was_written_down() -> None:
+    told = outcome("single", SAG, "explained", cause("draught", nats=4.5), cause("sag", nats=9.0))
+    assert told.if_claims_took(4.0) == told
+    assert told.if_claims_took(5.0).right
+    assert told.if_claims_took(10.0).verdict == "nothing_wrong"
+    assert outcome("outside", SAG, "unexplained", cause("sag", nats=4.5)).if_claims_took(5.0).verdict == "unexplained"
+    assert outcome("single", SAG, None).if_claims_took(5.0).verdict == "failed"
+    healthy = [outcome("none", {}, "explained", cause("sag", nats=n)) for n in (4.5, 7.0)]
+    bars = next(table for table in all_tables([told, *healthy]) if table.title == "Were more evidence asked for")
+    alarms = {row[0]: row[4] for row in bars.rows}
+    assert alarms["as claimed"].endswith("2 of 2")
+    assert alarms["5 nats"].endswith("1 of 2")
+    assert alarms["8 nats"].endswith("0 of 2")
 
 
 def test_shares_come_with_the_interval_of_wilson() -> None:
