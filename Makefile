@@ -11,6 +11,7 @@ CLUSTER_VENV := .venv-cluster
 SPEED  ?= lockstep
 SCALE  ?= small
 CASES  ?= 400
+PER_WORLD ?= 5
 JOBS   ?= 2
 
 .PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper pins clean
@@ -105,8 +106,8 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 bench-controllers: setup  ## what naming an effect is worth to controllers; twenty minutes (BENCH='--effects sag --kinds plan --json FILE')
 	@$(BIN)/python tests/bench/bench_controller_gain.py $(BENCH)
 
-discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 FIRST=60 SEED=1 JOBS=2 ONLY=sag,draught)
-	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) $(if $(FIRST),--first $(FIRST)) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
+discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 FIRST=60 SEED=1 JOBS=2 PER_WORLD=5 ONLY=sag,draught)
+	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) --per-world $(PER_WORLD) $(if $(FIRST),--first $(FIRST)) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper

@@ -55,11 +55,13 @@ class Outcome:
         truth: ``truth.json``.
         diagnosis: ``diagnosis.json``, or None where the command failed.
         seconds: that the command took.
+        learned: whether it learned from the reference in these; otherwise it was given what had been learned.
     """
 
     truth: Json
     diagnosis: Json | None
     seconds: float
+    learned: bool = True
 
     @property
     def kind(self) -> str:
@@ -70,12 +72,22 @@ class Outcome:
         return int(self.truth["form"])
 
     @property
+    def world(self) -> tuple[int, int]:
+        """Cases of one world have the same reference runs."""
+        return self.form, int(self.truth["seed"])
+
+    @property
     def hidden(self) -> list[str]:
         return [str(effect["effect"]) for effect in self.truth["effects"]]
 
     @property
     def verdict(self) -> str:
         return "failed" if self.diagnosis is None else str(self.diagnosis["verdict"])
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether something is said to be wrong: a false alarm where nothing is hidden."""
+        return self.verdict not in {"nothing_wrong", "failed"}
 
     @property
     def causes(self) -> list[Json]:
@@ -153,6 +165,14 @@ class Share:
             return "-"
         low, high = self.interval()
         return f"{100 * self.value:.0f} % ({100 * low:.0f}-{100 * high:.0f}), {self.count} of {self.total}"
+
+
+def alarmed_worlds(healthy: Sequence[Outcome]) -> Share:
+    """Of the worlds of these cases, those with any false alarm; none of none where no two share a world."""
+    worlds = {o.world for o in healthy}
+    if len(worlds) == len(healthy):
+        return Share(0, 0)
+    return Share(len({o.world for o in healthy if o.alarmed}), len(worlds))
 
 
 def share(items: Iterable[bool]) -> Share:

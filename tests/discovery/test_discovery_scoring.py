@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -31,6 +32,7 @@ def outcome(
     truth = {
         "kind": kind,
         "form": more.pop("form", 0),
+        "seed": more.pop("seed", 0),
         "effects": [{"effect": name, "parameters": p} for name, p in hidden.items()],
         "oracle": {"typical": {"end": {"base_mm": 10.0, "extended_mm": 6.0}}},
     }
@@ -182,6 +184,28 @@ def test_the_summary_tells_each_aim_of_each_physics() -> None:
     assert confusion(judged)["nothing", "nothing_wrong"] == 8
     assert confusion(judged)["wall", "failed"] == 1
     assert not any(true == "draught" for true, _ in confusion(judged))
+
+
+def test_false_alarms_are_counted_by_world_where_worlds_are_shared() -> None:
+    alarms = [(1, 0), (1, 0), (2, 0), (2, 1), (2, 0)]  # world, form
+    loud = [outcome("none", {}, "explained", cause("sag"), seed=seed, form=form) for seed, form in alarms]
+    calm = [outcome("none", {}, "nothing_wrong", seed=seed) for seed in (1, 3, 3)]
+    assert cells([*loud, *calm], "worlds with a false alarm") == ["67 % (21-94), 2 of 3"]
+    failed = outcome("none", {}, None, seed=9)
+    assert cells([*loud, *calm, failed], "worlds with a false alarm")[0].endswith("2 of 4")
+    alone = [outcome("none", {}, "explained", cause("sag"), seed=seed) for seed in range(3)]
+    assert cells(alone, "worlds with a false alarm") == []
+    assert cells(alone, "false alarms")[0].endswith("3 of 3")
+
+
+def test_seconds_are_told_with_and_without_learning() -> None:
+    def took(seconds: float, learned: bool) -> Outcome:
+        return replace(outcome("none", {}, "nothing_wrong"), seconds=seconds, learned=learned)
+
+    some = [took(90.0, True), took(20.0, False), took(40.0, False), took(22.0, False)]
+    assert cells(some, "seconds per case, base learned in it") == ["90 median, 90 longest, 1 cases"]
+    assert cells(some, "seconds per case, base given") == ["22 median, 40 longest, 3 cases"]
+    assert cells(some[:1], "seconds per case, base given") == []
 
 
 def test_tables_align_as_text_and_are_tables_in_markdown() -> None:

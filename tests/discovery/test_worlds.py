@@ -64,6 +64,53 @@ def test_a_case_follows_from_its_seed() -> None:
     assert np.array_equal(small(7)[0], small(7, "none")[0])
 
 
+@pytest.mark.parametrize(
+    ("form", "effect", "value", "lamps", "ends_cm"),
+    [
+        (0, "clock_skew", -0.0115070, "long random six", [-2.709838, -0.188910, -2.390154, -1.729857]),
+        (1, "draught", 0.1270478, "long six random", [3.251979, -0.929485, 3.242396, -0.871794]),
+    ],
+)
+def test_a_seed_draws_what_it_always_drew(
+    form: int, effect: str, value: float, lamps: str, ends_cm: list[float]
+) -> None:
+    """Results that were kept tell of these very plants."""
+    case = draw_case(7, form, "single", 3, 1, hours=3.0, held_out=1)
+    (hidden,) = case.hidden
+    assert hidden.name == effect
+    assert list(hidden.parameters.values()) == pytest.approx([value], abs=1e-7)
+    assert [run.schedule.split("_")[0] for run in case.measured] == lamps.split()
+    ends = [run.track.points_cm[-1, 9, 0] for run in (*case.measured, *case.held_out)]
+    assert ends == pytest.approx(ends_cm, abs=1e-5)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_other_plants_of_a_world_share_its_reference_and_nothing_else(form: int) -> None:
+    cases = [draw_case(7, form, "single", 3, 2, effect="sag", hours=3.0, held_out=1, number=n) for n in range(3)]
+    first = cases[0]
+    for case in cases[1:]:
+        for there, here in zip(first.reference, case.reference, strict=True):
+            assert np.array_equal(there.track.points_cm, here.track.points_cm)
+            assert (there.file, there.track.light) == (here.file, here.track.light)
+        for there, here in zip((*first.measured, *first.held_out), (*case.measured, *case.held_out), strict=True):
+            assert there.file == here.file
+            assert not (there.track.points_cm[:, 1:] == here.track.points_cm[:, 1:]).any()
+    runs = [run for case in cases for run in (*case.measured, *case.held_out)]
+    assert len({run.track.points_cm.tobytes() for run in runs}) == len(runs)
+    assert len({case.hidden[0].parameters["amplitude"] for case in cases}) == 3
+
+
+def test_numbers_of_a_world_have_their_own_lamps_and_oracle() -> None:
+    orders = {
+        tuple(run.schedule for run in draw_case(7, 0, "none", 3, 1, hours=1.0, held_out=1, number=n).measured)
+        for n in range(12)
+    }
+    assert len(orders) > 2
+    # What knowing the effect is worth is told of the case's own held-out plants.
+    case = draw_case(2, 0, "single", 1, 1, effect="draught", hours=48.0, number=3)
+    assert case.oracle["own"]["run"]["extended_mm"] < 0.5 * case.oracle["own"]["run"]["base_mm"]
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_stems_grow_and_swing_like_beans(form: int) -> None:
     track = recorded(quiet(form, 72.0))
@@ -278,14 +325,15 @@ def test_of_the_lamps_nobody_knows_more_than_the_record_and_how_late_it_tells_th
 
 
 def test_a_written_case_reads_back(tmp_path: Path) -> None:
-    case = draw_case(11, 0, "pair", 2, 3, hours=5.0, held_out=1)
+    case = draw_case(11, 0, "pair", 2, 3, hours=5.0, held_out=1, number=2)
     write_case(case, tmp_path / "case")
     told = json.loads((tmp_path / "case" / "truth.json").read_text())
     assert [effect["effect"] for effect in told["effects"]] == [hidden.name for hidden in case.hidden]
     assert [effect["parameters"] for effect in told["effects"]] == [hidden.parameters for hidden in case.hidden]
-    assert (told["form"], told["kind"], told["schedules"]["reference"]) == (
+    assert (told["form"], told["kind"], told["number"], told["schedules"]["reference"]) == (
         0,
         "pair",
+        2,
         ["six_hour"] * 2 + ["closed_loop"],
     )
     for group, runs in (("reference", case.reference), ("measured", case.measured), ("held_out", case.held_out)):
@@ -311,6 +359,7 @@ def test_a_written_case_reads_back(tmp_path: Path) -> None:
         ({"kind": "none", "effect": "draught"}, "kind `none`"),
         ({"runs": 0}, "at least one"),
         ({"seed": -1}, "seed is -1"),
+        ({"number": -1}, "number is -1"),
         ({"hours": 0.5}, "hours is 0.5"),
     ],
 )

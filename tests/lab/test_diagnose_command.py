@@ -201,6 +201,29 @@ def test_quiet_says_nothing(
     assert line.startswith("note: no run.toml tells")
 
 
+def test_without_a_report_nothing_is_drawn_and_all_else_is_as_before(
+    diagnosed: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "diagnose", lambda *_, **__: RESULTS[0])
+    for name in ("pictures_of", "page"):
+        monkeypatch.setattr(folder, name, lambda *_, **__: pytest.fail("drawn all the same"))
+    arguments = ["diagnose", *map(str, measured(runs)), "--reference", str(runs / "reference"), "--no-report", "-q"]
+    assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
+
+    def files_of(path: Path) -> dict[str, bytes]:
+        return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+    whole = files_of(diagnosed)
+    left_out = {name for name in whole if name == "report.html" or name.startswith("pictures/")}
+    assert len(left_out) > 5
+    assert files_of(tmp_path / "out") == {name: data for name, data in whole.items() if name not in left_out}
+    # What cannot be written to its end leaves nothing.
+    monkeypatch.setattr(folder.corrected, "write", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        folder.write_without_report(tmp_path / "broken", RESULTS[0])
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 @pytest.mark.parametrize("signal_name", ["SIGTERM", "SIGKILL"])
 def test_killed_in_the_middle_it_leaves_nothing_behind(runs: Path, tmp_path: Path, signal_name: str) -> None:
     program = [sys.executable, "-m", "flora_lab.main", "diagnose"]

@@ -44,6 +44,7 @@ def diagnose(
             "it is and as it is extended, and compare them on plants with what was found (minutes).",
         ),
     ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html and pictures.")] = True,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json.")] = False,
 ) -> None:
@@ -64,9 +65,10 @@ def diagnose(
         )
         if task is not None:
             result = _module("controllers").compared(result, task, stage, note)
-        drawn = stage("drawing", 1)
-        folder.write(output, result)
-        drawn()
+        written = stage("drawing" if report else "writing", 1)
+        write = folder.write if report else folder.write_without_report
+        write(output, result)
+        written()
     if as_json:
         typer.echo(folder.as_json(result).decode(), nl=False)
     elif not quiet:

@@ -37,28 +37,40 @@ _HOURS: Final = 72.0
 def write(path: Path, result: Result) -> None:
     """Write all of it, whole or not at all."""
     with files.whole_folder(path) as folder:
-        pictures = pictures_of(result)
-        (folder / PICTURES).mkdir()
-        for name, data in pictures.items():
-            (folder / PICTURES / f"{name}.{'gif' if name == 'film' else 'png'}").write_bytes(data)
-        (folder / JSON_FILE).write_bytes(as_json(result))
-        evidence = [[(t.effect.title, t.gain) for t in stage.tried] for stage in result.explanation.stages]
-        text = page(result.diagnosis, pictures, evidence=evidence, plant=result.tables.plant)
-        (folder / PAGE_FILE).write_text(text, encoding="utf-8")
-        start = result.start
-        if start.is_new:
-            stored_base.write_known(folder / BASE, start.simulator, start.known, start.provenance)
-        if result.corrected is not None:
-            _write_corrected(folder / EXTENDED, result)
-        elif result.extensions:
-            stored_base.write_known(
-                folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions
-            )
-        corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
-        asked = result.diagnosis.next_experiment
-        chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
-        if chosen is not None:
-            write_experiment(folder / EXPERIMENT, chosen, hours=_HOURS, why=asked.why)
+        _write_report(folder, result)
+        _write_found(folder, result)
+
+
+def write_without_report(path: Path, result: Result) -> None:
+    """Write all but report.html and pictures, whole or not at all; nothing is drawn, which takes seconds."""
+    with files.whole_folder(path) as folder:
+        _write_found(folder, result)
+
+
+def _write_report(folder: Path, result: Result) -> None:
+    pictures = pictures_of(result)
+    (folder / PICTURES).mkdir()
+    for name, data in pictures.items():
+        (folder / PICTURES / f"{name}.{'gif' if name == 'film' else 'png'}").write_bytes(data)
+    evidence = [[(t.effect.title, t.gain) for t in stage.tried] for stage in result.explanation.stages]
+    text = page(result.diagnosis, pictures, evidence=evidence, plant=result.tables.plant)
+    (folder / PAGE_FILE).write_text(text, encoding="utf-8")
+
+
+def _write_found(folder: Path, result: Result) -> None:
+    (folder / JSON_FILE).write_bytes(as_json(result))
+    start = result.start
+    if start.is_new:
+        stored_base.write_known(folder / BASE, start.simulator, start.known, start.provenance)
+    if result.corrected is not None:
+        _write_corrected(folder / EXTENDED, result)
+    elif result.extensions:
+        stored_base.write_known(folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions)
+    corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
+    asked = result.diagnosis.next_experiment
+    chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
+    if chosen is not None:
+        write_experiment(folder / EXPERIMENT, chosen, hours=_HOURS, why=asked.why)
 
 
 def _write_corrected(path: Path, result: Result) -> None:

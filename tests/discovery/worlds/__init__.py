@@ -1,7 +1,8 @@
 """Virtual beans with hidden effects, to judge who names them.
 
 The generator knows nothing of the finder: it imports ``flora_common`` and numerics, and no service. One seed gives one
-case: reference runs of healthy plants, measured runs of others with an effect, and the truth.
+case: reference runs of healthy plants, measured runs of others with an effect, and the truth. Further numbers give
+cases of the same world: others are measured, with the same reference runs.
 
     kernel       the growing stem, compiled
     rod, other   the two forms of physics: laws and typical plants

@@ -19,6 +19,7 @@ def main() -> int:
     parser.add_argument("--form", type=int, default=0, help="0: planar stem; 1: other physics")
     parser.add_argument("--kind", default="single", help=", ".join(KINDS))
     parser.add_argument("--effect", help="name of the effect; drawn where missing")
+    parser.add_argument("--number", type=int, default=0, help="which plants of the seed's world are measured")
     parser.add_argument("--runs", type=int, default=3, help="measured runs")
     parser.add_argument("--reference", type=int, default=9, help="runs without an effect")
     parser.add_argument("--hours", type=float, default=HOURS, help="length of each run")
@@ -36,6 +37,7 @@ def main() -> int:
             options.reference,
             effect=options.effect,
             hours=options.hours,
+            number=options.number,
         )
         write_case(case, options.output)
         told = ", ".join(f"{hidden.name} {hidden.parameters}" for hidden in case.hidden)

@@ -59,7 +59,7 @@ class Case:
     """A case.
 
     Attributes:
-        seed, form, kind: what it was drawn from.
+        seed, form, kind, number: what it was drawn from.
         hidden: the effects, in no order; empty for ``none``.
         reference: runs without an effect.
         measured: runs with it.
@@ -77,11 +77,12 @@ class Case:
     measured: tuple[Run, ...]
     held_out: tuple[Run, ...]
     oracle: Oracle
+    number: int = 0
 
 
 @dataclass(frozen=True)
 class _Species:
-    """What all plants of a case share."""
+    """What all plants of a world share."""
 
     seed: int
     form: int
@@ -103,11 +104,12 @@ def draw_case(
     hours: float = HOURS,
     held_out: int = HELD_OUT,
     light: Sequence[str] = (),
+    number: int = 0,
 ) -> Case:
     """A whole case, the same for the same arguments.
 
-    Plants, noise and lamps follow from seed and form alone, so that cases of other kinds with the same seed differ by
-    their effects only.
+    Seed and form make a world: a species and its reference runs. Plants, noise and lamps follow from these and the
+    number alone, so that cases of other kinds with the same seed and number differ by their effects only.
 
     Args:
         seed: any whole number from 0.
@@ -120,34 +122,43 @@ def draw_case(
         held_out: further runs with the effect.
         light: schedule of each measured run, see :func:`.schedules.draw_schedule`; a mixture where empty. Which plants
             are measured does not depend on it.
+        number: which plants of the world are measured and held out. Cases of other numbers have other plants, lamps,
+            noise and strengths of the effect, and the same reference runs.
 
     Raises:
         BadInput: an unknown form, kind or effect, or numbers that make no case.
     """
-    _check(seed, form, kind, runs, reference, effect, hours)
+    _check(seed, form, kind, runs, reference, effect, hours, number)
     rng = np.random.default_rng([seed, form, 1])
     laws, typical = rod.laws_and_plant() if form == 0 else other.laws_and_plant(rng)
     species = _Species(
         seed, form, laws, typical, draw_spread(rng, form), float(rng.uniform(70.0, 80.0)) if form == 1 else 0.0, hours
     )
-    hidden = _draw_hidden(np.random.default_rng([seed, form, 2, KINDS.index(kind)]), kind, effect)
+    # The first number adds nothing to what chance is made from: its cases are those of before there were others.
+    own = [number] if number else []
+    hidden = _draw_hidden(np.random.default_rng([seed, form, 2, KINDS.index(kind), *own]), kind, effect)
+    order = np.random.default_rng([seed, form, 4, number]) if number else rng
     loops = ["closed_loop" if i >= reference - reference // 3 else "six_hour" for i in range(reference)]
-    mixed = [str(name) for name in rng.permutation([OPEN_LOOPS[i % 3] for i in range(max(runs, 3))])][:runs]
+    mixed = [str(name) for name in order.permutation([OPEN_LOOPS[i % 3] for i in range(max(runs, 3))])][:runs]
     judged = [OPEN_LOOPS[i % 3] for i in range(held_out)]
-    tests = _runs(species, 2, judged, hidden)
+    measured_group = 1 + 2 * number
+    tests = _runs(species, measured_group + 1, judged, hidden)
     return Case(
         seed,
         form,
         kind,
         hidden,
         _runs(species, 0, loops, ()),
-        _runs(species, 1, list(light) or mixed, hidden),
+        _runs(species, measured_group, list(light) or mixed, hidden),
         tests,
-        _oracle(species, tests, hidden),
+        _oracle(species, measured_group + 1, tests, hidden),
+        number,
     )
 
 
-def _check(seed: int, form: int, kind: str, runs: int, reference: int, effect: str | None, hours: float) -> None:
+def _check(
+    seed: int, form: int, kind: str, runs: int, reference: int, effect: str | None, hours: float, number: int
+) -> None:
     if not 0 <= seed < MOST_SEED:
         raise BadInput(f"seed is {seed}; it must be a whole number from 0")
     if form not in {0, 1}:
@@ -156,6 +167,8 @@ def _check(seed: int, form: int, kind: str, runs: int, reference: int, effect: s
         raise BadInput(f"kind `{kind}` does not exist{did_you_mean(kind, KINDS)}")
     if runs < 1 or reference < 1:
         raise BadInput(f"a case needs at least one measured and one reference run, not {runs} and {reference}")
+    if number < 0:
+        raise BadInput(f"number is {number}; it must be a whole number from 0")
     if not 1.0 <= hours <= HOURS:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, {HOURS:g}]")
     if effect is None:
@@ -216,26 +229,28 @@ def _runs(species: _Species, group: int, schedules: list[str], hidden: tuple[Hid
 
 
 def _run(species: _Species, group: int, number: int, schedule: str, hidden: tuple[Hidden, ...]) -> Run:
+    """One run. Of the groups, 0 is the reference; after it each case of the world has two, measured and held out."""
+    role = 0 if group == 0 else 2 - group % 2
     scene = _scene(species, group, number, schedule, hidden)
     track = recorded(scene, species.spread, _chance(species, group, number, 4))
     file = RunFile(
         CameraSection((820.0, 984.0), 18.4),
         rig="box1",
-        plant=f"plant {'rmh'[group]}{number + 1}",
-        start=datetime(2026, 5, 1, tzinfo=UTC) + timedelta(days=4 * number + 60 * group),
+        plant=f"plant {'rmh'[role]}{number + 1}",
+        start=datetime(2026, 5, 1, tzinfo=UTC) + timedelta(days=4 * number + 60 * role),
         lamps=LampsSection(round(species.laws.lamp_x_cm, 2), round(species.laws.lamp_y_cm, 2)),
     )
     return Run(track, file, schedule)
 
 
-def _oracle(species: _Species, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]) -> Oracle:
-    """What knowing the effect is worth on the held-out runs: for the typical plant, and for each run's own."""
+def _oracle(species: _Species, group: int, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]) -> Oracle:
+    """What knowing the effect is worth on the held-out runs, a group: for the typical plant, and for each run's own."""
     squares: dict[tuple[str, str, str], list[FloatArray]] = {}
     for number, run in enumerate(runs):
         rows = np.rint(run.track.time_s / ROW_S).astype(np.int64)
         for whose, plant in (("typical", species.typical), ("own", None)):
             for name, effects in (("base_mm", ()), ("extended_mm", hidden)):
-                scene = _scene(species, 2, number, run.schedule, effects, plant=plant, drifting=False)
+                scene = _scene(species, group, number, run.schedule, effects, plant=plant, drifting=False)
                 # Nobody knows more of the lamps than the record tells; who knows the effect knows how late it tells it.
                 scene.schedule = believed_lamps(run.track, len(scene.schedule), scene.record.offset_h)
                 scene.record.gap_share = 0.0

@@ -36,6 +36,7 @@ def truth(case: Case) -> dict[str, Any]:
         "seed": case.seed,
         "form": case.form,
         "kind": case.kind,
+        "number": case.number,
         "effects": [{"effect": hidden.name, "parameters": hidden.parameters} for hidden in case.hidden],
         "schedules": {
             group: [run.schedule for run in getattr(case, group)] for group in ("reference", "measured", "held_out")
