@@ -15,7 +15,7 @@ from flora_common.messages import Stem
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.length import LengthState
-from flora_common.vision.path.tracker import Memory
+from flora_common.vision.path.memory import Memory
 
 RECORD_FILE: Final = "stem.json"
 TAIL_BYTES: Final = 8192

@@ -40,7 +40,8 @@ from flora_common.errors import BadPicture  # noqa: E402
 from flora_common.geometry import FloatArray  # noqa: E402
 from flora_common.runs import LIGHTS  # noqa: E402
 from flora_common.vision.lamp_states import from_background  # noqa: E402
-from flora_common.vision.path.tracker import Memory, PathTracker, Sight  # noqa: E402
+from flora_common.vision.path.memory import Memory  # noqa: E402
+from flora_common.vision.path.tracker import PathTracker, Sight  # noqa: E402
 from flora_common.vision.picture import Picture, decode_picture  # noqa: E402
 from flora_common.vision.reading import NO_STEM, OK, StemReading  # noqa: E402
 from truth_run import TruthFrame, twin_run  # noqa: E402

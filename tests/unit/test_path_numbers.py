@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 import pytest
 
-from flora_common.vision.path import length, spline, steady
+from flora_common.vision.path import length, spline
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.survey import median
 from flora_common.vision.path.thinning import neighbour_offsets, thin
@@ -159,39 +157,3 @@ def test_a_belief_grows_older_with_time_and_never_backwards() -> None:
     later = [length.predicted(known, 1000.0 + 3600.0 * h) for h in (1, 2, 4)]
     assert [round(s.length_cm, 6) for s in later] == [10.2, 10.4, 10.8]
     assert known.length_var < later[0].length_var < later[1].length_var < later[2].length_var
-
-
-def test_turn_of_an_arc_is_its_curvature_times_a_section_and_a_short_line_has_none() -> None:
-    angle = np.linspace(0.0, 1.5, 200)
-    arc = 100.0 * np.column_stack([1.0 - np.cos(angle), -np.sin(angle)])
-    assert steady.turn_of(arc, 40.0) == pytest.approx(0.4, abs=0.01)
-    assert steady.turn_of(arc[::-1], 40.0) == pytest.approx(-0.4, abs=0.01)
-    assert steady.turn_of(arc[:50], 40.0) is None
-
-
-def test_bending_a_line_changes_its_turn_by_so_much_and_nothing_below_the_section() -> None:
-    line = np.column_stack([np.zeros(200), -np.arange(200.0)])
-    out = steady.bent(line, 0.2, 50.0)
-    assert out[:149].tobytes() == line[:149].tobytes()
-    assert steady.turn_of(out, 50.0) == pytest.approx(0.2, abs=0.01)
-    assert math.dist(out[-1], out[149]) == pytest.approx(50.0, abs=0.1)
-    assert steady.bent(line, 0.0, 50.0) == pytest.approx(line)
-
-
-def test_a_turn_that_flickers_is_evened_and_one_that_drifts_is_followed() -> None:
-    rng = np.random.default_rng(4)
-    flicker, drift, state = [], [], None
-    for i in range(1000):
-        state = steady.believed(state, 300.0 * i, 0.2 + rng.normal(0.0, 0.05))
-        flicker.append(state.turn_rad)
-    assert np.std(np.diff(flicker[10:])) < 0.5 * 0.05 * 2.0**0.5
-    state = None
-    for i in range(100):
-        state = steady.believed(state, 300.0 * i, 0.1 * i / 12.0)
-        drift.append(state.turn_rad - 0.1 * i / 12.0)
-    assert abs(drift[-1]) < 0.04
-
-
-def test_another_shape_is_taken_as_it_is() -> None:
-    state = steady.believed(steady.TurnState(0.0, 0.0, 1e-4), 300.0, 0.9)
-    assert state.turn_rad == 0.9

@@ -14,9 +14,10 @@ from flora_common.errors import BadPicture
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup, from_background
 from flora_common.vision.path.likeness import Likeness, SetupLikeness
+from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.survey import Survey, Surveyor
-from flora_common.vision.path.tracker import Memory, PathTracker
+from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.reading import StemReading
 
 WIDTH, HEIGHT = 480, 400

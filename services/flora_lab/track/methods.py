@@ -11,8 +11,9 @@ import msgspec
 from flora_common.runs import CameraSection, Light
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings, PaperTracker
+from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.path.tracker import Memory, PathTracker, Sight
+from flora_common.vision.path.tracker import PathTracker, Sight
 from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.reading import StemReading
 from flora_common.vision.setup import SetupMatrices

@@ -51,6 +51,8 @@ HELD_MOVED_CM: Final = 1.2
 other's."""
 HELD_LESS_SEEN: Final = 0.2
 """Share of it by which less of it is seen than before, at most."""
+DETOUR_CM: Final = 0.6
+"""A stem gets no longer by this from one picture to the next, unless its end is hidden."""
 LEAP_CM: Final = 2.5
 """No tip moves so far from one picture to the next."""
 OTHER_PLANT: Final = 0.35
@@ -173,6 +175,11 @@ def same_stem(stem: Stem, before: Before, seen_before: float, px_per_cm: float) 
     """Whether a stem is so like the one before that nothing else need be looked at."""
     moved_px = math.dist(stem.line[-1], before.line_px[-1])
     return moved_px < MOVED_CM * px_per_cm and float(stem.seen.mean()) > seen_before - LESS_SEEN
+
+
+def is_detour(stem: Stem, before: Before, px_per_cm: float) -> bool:
+    """Whether a stem that ends where it did before is longer than it can have become: it goes through a leaf."""
+    return stem.length - float(arc_length(before.line_px)[-1]) > DETOUR_CM * px_per_cm
 
 
 def still_there(

@@ -12,16 +12,16 @@ import numpy as np
 from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
-from flora_common.vision.path import curve, doubts, length, nearby, steady
+from flora_common.vision.path import curve, doubts, length, nearby
+from flora_common.vision.path.apex import Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
 from flora_common.vision.path.evidence import Evidence, PlantFinder
 from flora_common.vision.path.extent import as_long_as, by_arc, in_cm, uncertainty_mm
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.likeness import OF_FRAMES, OF_THE_FIRST, USUAL, Likeness, SetupLikeness
-from flora_common.vision.path.nearby import Nearby
+from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory, State, before_of, remembered
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.path.steady import TurnState
 from flora_common.vision.path.strands import Strands, find_strands, plant_mask
 from flora_common.vision.path.survey import Survey, nearest_in_window
 from flora_common.vision.path.tip import Tip, find_tip, round_bends
@@ -46,43 +46,15 @@ FAINT, LEVEL = 15.0, 0.4
 CLEAR_CHOICE_CM: Final = 0.75
 """By so much the best chain must be better than any other, in a picture by itself."""
 UNCERTAIN_TIP_MM: Final = 4.0
-LEAST_SEEN: Final = 0.35
 BLUR_PX: Final = 2.0
 """A thin stem looks wider in a photograph, by lens, JPEG and smoothing."""
-FORGETS_S: Final = 900.0
-"""Where the stem was counts half after this time."""
 FOLD_CM: Final = 0.15
-DOUBTS_BELIEVED: Final = 3
+STARTS_BELIEVED: Final = 3
+"""After so many first pictures that are not clear, the next is believed all the same."""
 STEPS_BELIEVED: Final = 4
 """After so many pictures in a row that say so it is the stem all the same."""
 HOLDS_FROM, HOLDING_TRUST = 0.4, 4.0
 """Only a stem that was seen well and lately is held to, and then so much more than usually."""
-LINE_KEPT_EVERY: Final = 4
-"""Points of the line that memory keeps: one in so many, some 6 px apart."""
-
-
-class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the tracker knows from the pictures before; small enough to be written after each.
-
-    Attributes:
-        line_px: the stem, anchor first, tip last, px of the full picture.
-        length: belief on its length.
-        seen: share of it that was seen.
-        doubts: readings in a row that lay elsewhere, or showed too little to be believed.
-        turn: belief on which way its end points.
-        elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
-        sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
-        near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
-    """
-
-    line_px: list[tuple[float, float]]
-    length: LengthState
-    seen: float = 1.0
-    doubts: int = 0
-    turn: TurnState | None = None
-    elsewhere: int = 0
-    sure: bool = True
-    near: Nearby | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,18 +75,6 @@ class _Fit:
     reached: Stem
     sure_px: float
     held: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """What is remembered beside the line; see :class:`Memory`."""
-
-    length: LengthState
-    measured_cm: float
-    turn: TurnState | None
-    elsewhere: int
-    sure: bool
-    near: Nearby | None
 
 
 class PathTracker:
@@ -178,7 +138,7 @@ class PathTracker:
     def _near(self, survey: Survey, likeness: Likeness, time_s: float) -> StemReading | None:
         """The stem where it was in the picture before; None where only the whole picture can tell."""
         memory, scale = self.memory, self.camera.px_per_cm
-        before = self._before(time_s)
+        before = before_of(memory, time_s)
         if memory is None or memory.near is None or before is None or memory.doubts or memory.elsewhere:
             return None
         late = not 0.0 <= time_s - memory.length.time_s <= nearby.LONGEST_S
@@ -188,30 +148,30 @@ class PathTracker:
         if not nearby.enough(memory.near, before.line_px, survey, part, scale):
             return None
         evidence = self._finder.part(survey, *part, noise=memory.near.noise)
+        followed = Followed(memory.apex, evidence, time_s, scale)
+        before = replace(before, line_px=followed.drawn(before.line_px))
         sampler = Sampler(evidence)
         stem, tip = nearby.found(before.line_px, memory.near, sampler, scale, before)
         if not nearby.same_stem(stem, before, memory.seen, scale):
             return None
         belief = self._belief(stem, tip, time_s)
-        final, turn = self._steadied(as_long_as(stem, tip, belief.length_cm * scale), time_s)
+        final = self._ended(stem, tip, followed, belief)
+        if followed.is_astray(final.line[-1]):
+            return None
+        line, apex = followed.believed(final.line)
+        final = replace(final, line=line)
         mask = plant_mask(evidence, self._widest_px)
         beyond = doubts.beyond_px(final.line, mask, evidence.origin_px, scale)
         above_cm, ahead_cm = (nearby.DOUBTS_SOONER * v / scale for v in beyond)
         if doubts.badly_covered(final, sampler) or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm):
             return None
         near = msgspec.structs.replace(memory.near, looks=memory.near.looks + 1)
-        reading, after = self._told(final, _State(belief, stem.length / scale, turn, 0, True, near), evidence, "", "")
+        state = State(belief, stem.length / scale, followed, apex, near)
+        reading, after = self._told(final, state, evidence, "", "")
         if reading.outcome != OK:
             return None
         self.memory = after
         return reading
-
-    def _before(self, time_s: float) -> Before | None:
-        if self.memory is None or not self.memory.sure:
-            return None
-        trust = float(np.clip((self.memory.seen - LEAST_SEEN) / (1.0 - 2.0 * LEAST_SEEN), 0.0, 1.0))
-        trust /= 1.0 + (max(0.0, time_s - self.memory.length.time_s) / FORGETS_S) ** 2
-        return Before(np.array(self.memory.line_px), trust)
 
     def follow(self, sight: Sight, time_s: float) -> StemReading:
         """The stem in what a picture shows, given those before."""
@@ -222,12 +182,14 @@ class PathTracker:
         if strands is None:
             return no_stem("nothing at the anchor differs from the empty setup")
         scale = self.camera.px_per_cm
-        before = self._before(time_s)
+        followed = Followed(self.memory.apex if self.memory else None, evidence, time_s, scale)
+        before = before_of(self.memory, time_s)
+        before = before and replace(before, line_px=followed.drawn(before.line_px))
         sampler = Sampler(evidence)
         fit = self._fitted(strands, sampler, before)
         if isinstance(fit, str):
             return no_stem(fit)
-        fit, elsewhere = self._held(fit, strands, sampler, before, time_s)
+        fit, elsewhere = self._held(fit, strands, sampler, before, time_s, is_found=followed.there is not None)
         near = nearby.after(fit.reached, fit.sure_px, evidence)
         again, tip = nearby.found(fit.reached.line, near, sampler, scale, before)
         same = math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale
@@ -235,8 +197,10 @@ class PathTracker:
             # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
             fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s)
-        final = as_long_as(fit.reached, fit.tip, belief.length_cm * scale)
-        final, turn = self._steadied(final, time_s)
+        final = self._ended(fit.reached, fit.tip, followed, belief)
+        astray = followed.is_astray(final.line[-1])
+        line, apex = followed.believed(final.line)
+        final = replace(final, line=line)
         above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands.mask, strands.origin_px, scale))
         doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm)
         doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
@@ -245,12 +209,14 @@ class PathTracker:
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
+        if astray:
+            unsure = "it ends elsewhere than the apex before, which is still to be seen"
         if elsewhere > STEPS_BELIEVED:
             unsure = "another part of the plant has looked more like the stem for some time"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
         known = self.memory.near if self.memory is not None else None
         kept = near if clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
-        state = _State(belief, fit.reached.length / scale, turn, elsewhere, sure, kept)
+        state = State(belief, fit.reached.length / scale, followed, apex, kept, astray, elsewhere, sure)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
@@ -276,7 +242,14 @@ class PathTracker:
         return _Fit(chain, tip, reached, float(arc_length(stem.line)[tip.safe]))
 
     def _held(
-        self, fit: _Fit, strands: Strands, sampler: Sampler, before: Before | None, time_s: float
+        self,
+        fit: _Fit,
+        strands: Strands,
+        sampler: Sampler,
+        before: Before | None,
+        time_s: float,
+        *,
+        is_found: bool,
     ) -> tuple[_Fit, int]:
         """The same, unless its tip is farther from the one before than any grows and the old place shows a stem too.
 
@@ -287,10 +260,14 @@ class PathTracker:
             return fit, 0
         hours = max(0.0, time_s - self.memory.length.time_s) / 3600.0
         most_px = (nearby.STEP_CM + nearby.STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
-        if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
-            return fit, 0
         count, near, seen = self.memory.elsewhere, self.memory.near, self.memory.seen
-        late = count >= STEPS_BELIEVED
+        if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
+            if near is None or not nearby.is_detour(fit.reached, before, self.camera.px_per_cm):
+                return fit, 0
+            stem, tip = nearby.found(before.line_px, near, sampler, self.camera.px_per_cm, before)
+            same = nearby.same_stem(stem, before, seen, self.camera.px_per_cm)
+            return (_Fit(fit.chain, tip, stem, near.sure_px, held=True) if same else fit), 0
+        late = count >= (ASTRAY_BELIEVED if is_found else STEPS_BELIEVED)
         if near is not None:
             scale = self.camera.px_per_cm
             there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
@@ -307,16 +284,11 @@ class PathTracker:
             return False
         return math.dist(chain.points[-1], self.memory.line_px[-1]) < SAME_TIP_CM * self.camera.px_per_cm
 
-    def _steadied(self, stem: Stem, time_s: float) -> tuple[Stem, TurnState | None]:
-        """The stem with its end bent to what is believed of it, and that belief."""
-        scale = self.camera.px_per_cm
-        measured = steady.turn_of(stem.line, steady.SECTION_CM * scale)
-        if measured is None:
-            return stem, None
-        before = self.memory.turn if self.memory else None
-        turn = steady.believed(before, time_s, measured)
-        line = steady.bent(stem.line, turn.turn_rad - measured, steady.SECTION_CM * scale)
-        return replace(stem, line=line), turn
+    def _ended(self, stem: Stem, tip: Tip, followed: Followed, belief: LengthState) -> Stem:
+        """The stem as it was measured, if it ends by its apex; else as long as is believed of it."""
+        if followed.is_near(stem.line[-1]):
+            return stem
+        return as_long_as(stem, tip, belief.length_cm * self.camera.px_per_cm)
 
     def _belief(self, stem: Stem, tip: Tip, time_s: float) -> LengthState:
         scale = self.camera.px_per_cm
@@ -332,10 +304,10 @@ class PathTracker:
         if strength < FAINT and float(np.ptp(stem.line[:, 1])) < LEVEL * stem.length:
             unmet = unmet or "what begins at the anchor lies level and is faint, as the edges of soil and pot are"
         self._doubtful_starts = self._doubtful_starts + 1 if unmet else 0
-        return unmet if self._doubtful_starts < DOUBTS_BELIEVED else ""
+        return unmet if self._doubtful_starts < STARTS_BELIEVED else ""
 
     def _told(
-        self, stem: Stem, state: _State, evidence: Evidence, doubt: str, unsure: str
+        self, stem: Stem, state: State, evidence: Evidence, doubt: str, unsure: str
     ) -> tuple[StemReading, Memory | None]:
         """The reading, and what is remembered after it."""
         belief = state.length
@@ -349,7 +321,7 @@ class PathTracker:
             outcome, reason = OCCLUDED, doubt
         if unsure and outcome == OK:
             outcome, reason = OCCLUDED, unsure
-        memory = self._remembered(stem, state, outcome, seen, bool(doubt))
+        memory = remembered(self.memory, stem.line, state, outcome, seen, doubted=bool(doubt))
         folded = bool(line_cm[:, 1].max() - line_cm[-1, 1] > FOLD_CM or (np.diff(line_cm[::4, 1]) < -0.05).any())
         reading = StemReading(
             outcome,
@@ -378,21 +350,6 @@ class PathTracker:
         if tip_mm > UNCERTAIN_TIP_MM:
             return OCCLUDED, f"the tip is hidden; it may lie {tip_mm:.0f} mm off"
         return OK, ""
-
-    def _remembered(self, stem: Stem, state: _State, outcome: str, seen: float, doubted: bool) -> Memory | None:
-        if self.memory is None and doubted:
-            return None
-        doubtful = self.memory is not None and (doubted or outcome == JUMPED or seen < LEAST_SEEN)
-        count = self.memory.doubts + 1 if doubtful and self.memory is not None else 0
-        if self.memory is not None and 0 < count < DOUBTS_BELIEVED:
-            return msgspec.structs.replace(self.memory, doubts=count)
-        # of a new place the length is known, but not what the old one's history says of it
-        belief = state.length
-        if count:
-            belief = LengthState(belief.time_s, state.measured_cm)
-        line = [(float(x), float(y)) for x, y in (*stem.line[:-1:LINE_KEPT_EVERY], stem.line[-1])]
-        near = state.near if outcome == OK or state.elsewhere else None
-        return Memory(line, belief, seen, turn=state.turn, elsewhere=state.elsewhere, sure=state.sure, near=near)
 
     def _at_edge(self, tip: FloatArray) -> bool:
         x0, y0, x1, _ = self.settings.window_px or (0.0, 0.0, self.camera.width_px - 1.0, 0.0)

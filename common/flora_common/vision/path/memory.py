@@ -1,0 +1,125 @@
+"""What the tracker knows from the pictures before, and what it keeps of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.vision.path import length
+from flora_common.vision.path.apex import Apex, Followed
+from flora_common.vision.path.chain import Before
+from flora_common.vision.path.length import LengthState
+from flora_common.vision.path.nearby import Nearby
+from flora_common.vision.reading import JUMPED, OK
+
+LEAST_SEEN: Final = 0.35
+FORGETS_S: Final = 900.0
+"""Where the stem was counts half after this time."""
+DOUBTS_BELIEVED: Final = 3
+"""After so many pictures in a row that say so it is the stem all the same."""
+ASTRAY_BELIEVED: Final = 12
+"""The same where the apex before is still to be seen, and looks as it did."""
+LINE_KEPT_EVERY: Final = 4
+"""Points of the line that memory keeps: one in so many, some 6 px apart."""
+
+
+class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the tracker knows from the pictures before; small enough to be written after each.
+
+    Attributes:
+        line_px: the stem, anchor first, tip last, px of the full picture.
+        length: belief on its length.
+        seen: share of it that was seen.
+        doubts: readings in a row that lay elsewhere, or showed too little to be believed.
+        apex: how it looks round the tip, and where that is; None where the picture's edge is too near.
+        elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
+        sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
+        near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
+    """
+
+    line_px: list[tuple[float, float]]
+    length: LengthState
+    seen: float = 1.0
+    doubts: int = 0
+    apex: Apex | None = None
+    elsewhere: int = 0
+    sure: bool = True
+    near: Nearby | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """What a picture tells beside the line.
+
+    Attributes:
+        measured_cm: length of the stem in this picture by itself.
+        followed: the apex of the picture before in this one.
+        astray: whether the stem ends elsewhere.
+        length, apex, elsewhere, sure, near: see :class:`Memory`.
+    """
+
+    length: LengthState
+    measured_cm: float
+    followed: Followed
+    apex: Apex | None
+    near: Nearby | None
+    astray: bool = False
+    elsewhere: int = 0
+    sure: bool = True
+
+
+def before_of(memory: Memory | None, time_s: float) -> Before | None:
+    """The stem that a picture taken at a time is held against; None where nothing is known of it."""
+    if memory is None or not memory.sure:
+        return None
+    trust = float(np.clip((memory.seen - LEAST_SEEN) / (1.0 - 2.0 * LEAST_SEEN), 0.0, 1.0))
+    trust /= 1.0 + (max(0.0, time_s - memory.length.time_s) / FORGETS_S) ** 2
+    return Before(np.array(memory.line_px), trust)
+
+
+def remembered(
+    memory: Memory | None, line_px: FloatArray, state: State, outcome: str, seen: float, *, doubted: bool
+) -> Memory | None:
+    """What is known after a picture.
+
+    Args:
+        memory: what was known before it.
+        line_px: the stem in it, shape (n, 2).
+        state: what else it tells.
+        outcome: of the reading.
+        seen: share of the stem that was seen.
+        doubted: whether it may be no stem at all.
+    """
+    if memory is None and doubted:
+        return None
+    if memory is not None and (doubted or state.astray or outcome == JUMPED or seen < LEAST_SEEN):
+        count = memory.doubts + 1
+        if count < (ASTRAY_BELIEVED if state.astray else DOUBTS_BELIEVED):
+            return _kept(msgspec.structs.replace(memory, doubts=count), state)
+        # of a new place the length is known, but not what the old one's history says of it
+        belief = LengthState(state.length.time_s, state.measured_cm)
+    else:
+        belief = state.length
+    line = _points(np.concatenate([line_px[:-1:LINE_KEPT_EVERY], line_px[-1:]]))
+    near = state.near if outcome == OK or state.elsewhere else None
+    return Memory(line, belief, seen, apex=state.apex, elsewhere=state.elsewhere, sure=state.sure, near=near)
+
+
+def _kept(memory: Memory, state: State) -> Memory:
+    """What was known before the picture; where its apex was seen once more, as of now."""
+    if not state.astray:
+        return memory
+    return msgspec.structs.replace(
+        memory,
+        line_px=_points(state.followed.drawn(np.array(memory.line_px))),
+        length=length.predicted(memory.length, state.length.time_s),
+        apex=state.apex,
+    )
+
+
+def _points(line_px: FloatArray) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in line_px]
