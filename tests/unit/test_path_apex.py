@@ -39,13 +39,14 @@ def moved(picture: np.ndarray, by: FloatArray, turn_deg: float = 0.0) -> np.ndar
 
 
 def evidence(picture: np.ndarray, origin: tuple[int, int] = (0, 0)) -> Evidence:
-    return Evidence(origin, np.zeros(picture.shape[:2], np.float32), picture, 1.0)
+    plant = np.where(picture.max(axis=2) > 44, 20.0, 0.0).astype(np.float32)
+    return Evidence(origin, plant, picture, 1.0)
 
 
-def known(picture: np.ndarray, var_px: float = 0.2 * MEASURED_VAR) -> Apex:
-    found = apex_at(evidence(picture), 0.0, START, var_px, SCALE)
+def known(picture: np.ndarray, sure: int = apex.KNOWN_FROM) -> Apex:
+    found = apex_at(evidence(picture), 0.0, START, MEASURED_VAR, SCALE)
     assert found is not None
-    return found
+    return msgspec.structs.replace(found, sure=sure)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -101,7 +102,7 @@ def test_a_bare_edge_tells_nothing_of_the_motion_along_it() -> None:
 
 def test_measurements_that_scatter_are_evened_and_motion_is_followed_at_once() -> None:
     rng = np.random.default_rng(3)
-    state, errors = known(leaves(), MEASURED_VAR), []
+    state, errors = known(leaves()), []
     for i in range(1, 60):
         by = np.array([10.0 * math.sin(0.3 * i), -0.2 * i])
         measured = START + by + rng.normal(0.0, ONE_MM, 2)
@@ -125,12 +126,23 @@ def test_a_tip_that_lies_elsewhere_moves_nothing_where_the_apex_is_known_and_is_
     assert out is line
     assert after is not None
     assert after.tip_px == pytest.approx(tuple(START), abs=0.05)
-    new = Followed(known(leaves(), MEASURED_VAR), evidence(leaves()), 300.0, SCALE)
+    new = Followed(known(leaves(), apex.KNOWN_FROM - 1), evidence(leaves()), 300.0, SCALE)
     assert not new.is_astray(elsewhere)
     out, after = new.believed(line)
     assert out is line
     assert after is not None
     assert after.tip_px == tuple(elsewhere)
+
+
+def test_an_apex_becomes_known_by_pictures_beyond_doubt_and_doubtful_ones_undo_them_one_by_one() -> None:
+    state = known(leaves(), 0)
+    for _ in range(apex.KNOWN_FROM):
+        assert not Followed(state, evidence(leaves()), 300.0, SCALE).is_known
+        state = apex.judged(state, is_sure=True)
+    assert Followed(state, evidence(leaves()), 300.0, SCALE).is_known
+    assert not Followed(apex.judged(state, is_sure=False), evidence(leaves()), 300.0, SCALE).is_known
+    assert apex.judged(known(leaves(), 0), is_sure=False).sure == 0
+    assert apex.judged(known(leaves(), apex.MOST_SURE), is_sure=True).sure == apex.MOST_SURE
 
 
 def test_an_apex_at_the_edge_of_what_was_looked_at_is_not_remembered() -> None:

@@ -40,18 +40,19 @@ MOST_STEPS, CLOSE_PX, MOST_OFF_PX = 12, 0.01, 2.0
 """Of the search for a fraction of a pixel; one that leads farther from where it set out has lost the apex."""
 LONGEST_S: Final = 1200.0
 """An apex that was seen longer ago may be anywhere, and look otherwise."""
-MOVED_ERROR_CM, MOVED_ERROR_SHARE = 0.01, 0.04
+MOVED_ERROR_CM, MOVED_ERROR_SHARE = 0.02, 0.04
 """Standard deviation of a motion, and share of it: a tip that swings turns, too, and its leaves before it."""
 MEASURED_ERROR_CM: Final = 0.1
 """Standard deviation of a measured tip."""
 BELIEVED_CM: Final = 0.3
 """What is measured farther from where the apex went counts as if it were so far off: it likely is a leaf's tip."""
-FAR_CM: Final = 1.0
+FAR_CM: Final = 0.5
 """What is measured farther off is another thing."""
-KNOWN_FROM: Final = 0.3
-"""Share of the variance of one measurement: some four have told of the same place."""
+KNOWN_FROM, MOST_SURE = 4, 12
+"""An apex is known after so many pictures in which nothing was doubtful; more than the second count no more."""
 SECTION_CM: Final = 1.8
 """So much of the line's end is bent to where the tip is."""
+_EDGE: Final = np.ones((3, 3), np.uint8)
 _HALF_RIGHT, _HALF_DOWN = np.array([0.5, 0.0]), np.array([0.0, 0.5])
 _WORST: Final = 1e4
 """Condition of the equations for a motion: a piece without structure across some direction tells nothing of that."""
@@ -65,8 +66,9 @@ class Apex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tip_px: where it is believed to be, px of the full picture.
         var_px: variance of either coordinate, square px.
         corner_px: the first pixel (x, y) of the piece of picture round it.
-        code: that piece in logarithmic code, shape (side, side, 3), uint8.
+        code: that piece in logarithmic code, and where there is plant in it, shape (side, side, 4), uint8.
         side: of it, px.
+        sure: pictures in which it was the end of a stem beyond doubt, less those in which it was not.
     """
 
     time_s: float
@@ -75,6 +77,7 @@ class Apex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     corner_px: tuple[int, int]
     code: bytes
     side: int
+    sure: int = 0
 
     def __post_init__(self) -> None:
         """What was stored may be damaged.
@@ -83,15 +86,22 @@ class Apex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             ValueError: the piece is not as large as it says, or the tip not in its middle.
         """
         off = np.array(self.tip_px) - np.array(self.corner_px) - self.side // 2
-        if self.side % 2 == 0 or len(self.code) != 3 * self.side**2 or not np.abs(off).max() <= 1.0:
+        if self.side % 2 == 0 or len(self.code) != 4 * self.side**2 or not np.abs(off).max() <= 1.0:
             raise ValueError("apex: no piece of picture round a tip")
 
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """A piece of picture: its code, shape (side, side, 3), and where the tip is in it, (x, y) px."""
+    """A piece of picture.
 
-    code: Float32Array
+    Attributes:
+        code: shape (side, side, 3).
+        plant: shape (side, side), 1 where there is plant, or its edge, and 0 elsewhere.
+        tip: where the tip is in it, (x, y) px.
+    """
+
+    code: Picture
+    plant: Float32Array
     tip: FloatArray
 
 
@@ -118,10 +128,14 @@ class Followed:
         """Whether it was found, and a measured tip can be a measurement of it."""
         return self.there is not None and math.dist(tip_px, self.there) <= FAR_CM * self._scale
 
+    @property
+    def is_known(self) -> bool:
+        """Whether it was found, and was plain to see as the end of the stem for some pictures."""
+        return self._before is not None and self.there is not None and self._before.sure >= KNOWN_FROM
+
     def is_astray(self, tip_px: FloatArray) -> bool:
-        """Whether it was found and is well known, and a tip lies elsewhere."""
-        is_known = self._before is not None and self._before.var_px < KNOWN_FROM * self._error
-        return is_known and self.there is not None and not self.is_near(tip_px)
+        """Whether it is known, and a tip lies elsewhere."""
+        return self.is_known and not self.is_near(tip_px)
 
     def drawn(self, line: FloatArray) -> FloatArray:
         """The line of the picture before, shape (n, 2), with its end where the apex is now."""
@@ -137,7 +151,7 @@ class Followed:
             assert self.there is not None
             return line, self._remembered(self.there, self._moved_var())
         if self.there is None or not self.is_near(measured):
-            return line, self._remembered(measured, self._error)
+            return line, apex_at(self._evidence, self._time_s, measured, self._error, self._scale)
         prior = self._moved_var()
         gain = prior / (prior + self._error)
         off = measured - self.there
@@ -151,16 +165,24 @@ class Followed:
         return self._before.var_px + (MOVED_ERROR_CM * self._scale) ** 2 + (MOVED_ERROR_SHARE * moved_px) ** 2
 
     def _remembered(self, tip_px: FloatArray, var_px: float) -> Apex | None:
-        return apex_at(self._evidence, self._time_s, tip_px, var_px, self._scale)
+        assert self._before is not None
+        after = apex_at(self._evidence, self._time_s, tip_px, var_px, self._scale)
+        return after and msgspec.structs.replace(after, sure=self._before.sure)
+
+
+def judged(apex: Apex, *, is_sure: bool) -> Apex:
+    """What is remembered after a picture in which it was, or was not, the end of a stem beyond doubt."""
+    return msgspec.structs.replace(apex, sure=min(MOST_SURE, apex.sure + 1) if is_sure else max(0, apex.sure - 1))
 
 
 def found_again(before: Apex, evidence: Evidence, px_per_cm: float) -> FloatArray | None:
     """The place (x, y) in a picture, px, to which the tip of an earlier one has moved; None where it cannot be told."""
     spread = SPREAD_CM * px_per_cm
-    code = np.frombuffer(before.code, np.uint8).reshape(before.side, before.side, 3)
-    old = _Piece(code.astype(np.float32), np.array(before.tip_px) - before.corner_px)
+    piece = np.frombuffer(before.code, np.uint8).reshape(before.side, before.side, 4)
+    plant = np.asarray(piece[..., 3] > 0, dtype=np.float32)
+    old = _Piece(np.ascontiguousarray(piece[..., :3]), plant, np.array(before.tip_px) - before.corner_px)
     origin = np.array(evidence.origin_px, dtype=np.float64)
-    start = _to_a_pixel(old, code, evidence.code, np.array(before.tip_px) - origin, spread, REACH_CM * px_per_cm)
+    start = _to_a_pixel(old, evidence.code, np.array(before.tip_px) - origin, spread, REACH_CM * px_per_cm)
     if start is None:
         return None
     end = _to_a_fraction(old, evidence.code, start, spread)
@@ -176,7 +198,9 @@ def apex_at(evidence: Evidence, time_s: float, tip_px: FloatArray, var_px: float
     height, width = evidence.code.shape[:2]
     if min(x, y) < 0 or x + side > width or y + side > height:
         return None
-    code = np.ascontiguousarray(evidence.code[y : y + side, x : x + side]).tobytes()
+    rows, columns = slice(y, y + side), slice(x, x + side)
+    plant = cv2.dilate(np.asarray(evidence.plant[rows, columns] > 0.0, dtype=np.uint8), _EDGE)
+    code = np.dstack([evidence.code[rows, columns], plant]).tobytes()
     tip = float(tip_px[0]), float(tip_px[1])
     return Apex(time_s, tip, var_px, (int(corner[0]), int(corner[1])), code, side)
 
@@ -188,24 +212,21 @@ def drawn_to(line: FloatArray, tip_px: FloatArray, section_px: float) -> FloatAr
     return np.asarray(line + share * (tip_px - line[-1]), dtype=np.float64)
 
 
-def _to_a_pixel(
-    old: _Piece, old_code: Picture, code: Picture, tip: FloatArray, spread: float, reach: float
-) -> FloatArray | None:
+def _to_a_pixel(old: _Piece, code: Picture, tip: FloatArray, spread: float, reach: float) -> FloatArray | None:
     """The place in ``code`` that looks most like the tip of the old piece, near ``tip``; None where none does."""
     half = math.ceil(GLANCE_SPREADS * spread)
     x, y = (int(v) for v in np.rint(old.tip))
-    sought = old_code[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
+    part = slice(max(0, y - half), y + half + 1), slice(max(0, x - half), x + half + 1)
+    sought, plant = old.code[part], old.plant[part]
     far = half + math.ceil(reach)
     x0, y0 = (int(v) for v in np.maximum(0, np.rint(tip) - far))
     x1, y1 = (int(v) for v in np.rint(tip) + far + 1)
     there = code[y0 : max(0, y1), x0 : max(0, x1)]
-    if (
-        sought.shape[:2] != (2 * half + 1, 2 * half + 1)
-        or there.shape[0] < sought.shape[0]
-        or there.shape[1] < sought.shape[1]
-    ):
+    side = 2 * half + 1
+    if sought.shape[:2] != (side, side) or min(there.shape[:2]) < side or not plant.any():
         return None
-    _, alike, _, at = cv2.minMaxLoc(cv2.matchTemplate(there, sought, cv2.TM_CCOEFF_NORMED))
+    likeness = cv2.matchTemplate(there, sought, cv2.TM_CCOEFF_NORMED, mask=np.dstack([plant] * 3))
+    _, alike, _, at = cv2.minMaxLoc(np.where(np.isfinite(likeness), likeness, 0.0))
     if not alike >= LEAST_ALIKE:
         return None
     return np.asarray(np.array([x0, y0]) + at + half + old.tip - np.array([x, y]), dtype=np.float64)
@@ -216,7 +237,8 @@ def _to_a_fraction(old: _Piece, code: Picture, start: FloatArray, spread: float)
     half = math.ceil(HALF_SPREADS * spread)
     steps = np.arange(-half, half + 1, dtype=np.float32)
     dx, dy = np.meshgrid(steps, steps)
-    weight = np.exp(-(dx**2 + dy**2) / (4.0 * spread**2))[..., None]  # the root of a Gaussian's
+    # the root of a Gaussian's, and nothing where what stands still is behind the plant
+    weight = (np.exp(-(dx**2 + dy**2) / (4.0 * spread**2)) * _at(old.plant, old.tip, dx, dy))[..., None]
     own = _at(old.code, old.tip, dx, dy)
     slopes = [
         _at(old.code, old.tip + by, dx, dy) - _at(old.code, old.tip - by, dx, dy) for by in (_HALF_RIGHT, _HALF_DOWN)

@@ -10,7 +10,7 @@ import numpy as np
 
 from flora_common.geometry import FloatArray
 from flora_common.vision.path import length
-from flora_common.vision.path.apex import Apex, Followed
+from flora_common.vision.path.apex import Apex, Followed, judged
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.nearby import Nearby
@@ -106,7 +106,8 @@ def remembered(
         belief = state.length
     line = _points(np.concatenate([line_px[:-1:LINE_KEPT_EVERY], line_px[-1:]]))
     near = state.near if outcome == OK or state.elsewhere else None
-    return Memory(line, belief, seen, apex=state.apex, elsewhere=state.elsewhere, sure=state.sure, near=near)
+    apex = state.apex and judged(state.apex, is_sure=outcome == OK)
+    return Memory(line, belief, seen, apex=apex, elsewhere=state.elsewhere, sure=state.sure, near=near)
 
 
 def _kept(memory: Memory, state: State) -> Memory:
