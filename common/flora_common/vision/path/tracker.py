@@ -189,7 +189,7 @@ class PathTracker:
         fit = self._fitted(strands, sampler, before)
         if isinstance(fit, str):
             return no_stem(fit)
-        fit, elsewhere = self._held(fit, strands, sampler, before, time_s, is_known=followed.is_known)
+        fit, elsewhere = self._held(fit, strands, sampler, before, time_s, followed)
         near = nearby.after(fit.reached, fit.sure_px, evidence)
         again, tip = nearby.found(fit.reached.line, near, sampler, scale, before)
         same = math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale
@@ -248,8 +248,7 @@ class PathTracker:
         sampler: Sampler,
         before: Before | None,
         time_s: float,
-        *,
-        is_known: bool,
+        followed: Followed,
     ) -> tuple[_Fit, int]:
         """The same, unless its tip is farther from the one before than any grows and the old place shows a stem too.
 
@@ -267,7 +266,9 @@ class PathTracker:
             stem, tip = nearby.found(before.line_px, near, sampler, self.camera.px_per_cm, before)
             same = nearby.same_stem(stem, before, seen, self.camera.px_per_cm)
             return (_Fit(fit.chain, tip, stem, near.sure_px, held=True) if same else fit), 0
-        late = count >= (ASTRAY_BELIEVED if is_known else STEPS_BELIEVED)
+        if followed.there is not None and not followed.is_known:
+            return fit, 0
+        late = count >= (ASTRAY_BELIEVED if followed.is_known else STEPS_BELIEVED)
         if near is not None:
             scale = self.camera.px_per_cm
             there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
