@@ -102,7 +102,7 @@ def test_a_bare_edge_tells_nothing_of_the_motion_along_it() -> None:
 
 def test_measurements_that_scatter_are_evened_and_motion_is_followed_at_once() -> None:
     rng = np.random.default_rng(3)
-    state, errors = known(leaves()), []
+    state, errors = known(leaves(), 1), []
     for i in range(1, 60):
         by = np.array([10.0 * math.sin(0.3 * i), -0.2 * i])
         measured = START + by + rng.normal(0.0, ONE_MM, 2)
@@ -136,6 +136,7 @@ def test_a_tip_that_lies_elsewhere_moves_nothing_where_the_apex_is_known_and_is_
 
 def test_an_apex_becomes_known_by_pictures_beyond_doubt_and_doubtful_ones_undo_them_one_by_one() -> None:
     state = known(leaves(), 0)
+    assert Followed(state, evidence(leaves()), 300.0, SCALE).there is None
     for _ in range(apex.KNOWN_FROM):
         assert not Followed(state, evidence(leaves()), 300.0, SCALE).is_known
         state = apex.judged(state, is_sure=True)

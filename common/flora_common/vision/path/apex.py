@@ -120,8 +120,8 @@ class Followed:
 
     def __init__(self, before: Apex | None, evidence: Evidence, time_s: float, px_per_cm: float) -> None:
         self._before, self._evidence, self._time_s, self._scale = before, evidence, time_s, px_per_cm
-        is_late = before is None or not 0.0 <= time_s - before.time_s <= LONGEST_S
-        self.there = None if before is None or is_late else found_again(before, evidence, px_per_cm)
+        can_be = before is not None and before.sure > 0 and 0.0 <= time_s - before.time_s <= LONGEST_S
+        self.there = found_again(before, evidence, px_per_cm) if before is not None and can_be else None
         self._error = (MEASURED_ERROR_CM * px_per_cm) ** 2
 
     def is_near(self, tip_px: FloatArray) -> bool:
