@@ -56,6 +56,8 @@ _EDGE: Final = np.ones((3, 3), np.uint8)
 _HALF_RIGHT, _HALF_DOWN = np.array([0.5, 0.0]), np.array([0.0, 0.5])
 _WORST: Final = 1e4
 """Condition of the equations for a motion: a piece without structure across some direction tells nothing of that."""
+_FLAT: Final = 1e-6
+"""Variance of a channel in which there is nothing to see."""
 
 
 class Apex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -233,30 +235,44 @@ def _to_a_pixel(old: _Piece, code: Picture, tip: FloatArray, spread: float, reac
 
 
 def _to_a_fraction(old: _Piece, code: Picture, start: FloatArray, spread: float) -> FloatArray | None:
-    """The same to a small fraction of a pixel; None where that leads elsewhere."""
+    """The same to a small fraction of a pixel; None where that leads elsewhere.
+
+    Sums are written out: products of matrices come to other last digits wherever else in memory their numbers lie, and
+    the same pictures must give the same bytes.
+    """
     half = math.ceil(HALF_SPREADS * spread)
     steps = np.arange(-half, half + 1, dtype=np.float32)
     dx, dy = np.meshgrid(steps, steps)
-    # the root of a Gaussian's, and nothing where what stands still is behind the plant
-    weight = (np.exp(-(dx**2 + dy**2) / (4.0 * spread**2)) * _at(old.plant, old.tip, dx, dy))[..., None]
-    own = _at(old.code, old.tip, dx, dy)
-    slopes = [
-        _at(old.code, old.tip + by, dx, dy) - _at(old.code, old.tip - by, dx, dy) for by in (_HALF_RIGHT, _HALF_DOWN)
-    ]
-    # what a change of light would do to each channel is taken out of all
-    light = [np.linalg.qr(np.column_stack([(weight * own)[..., c].ravel(), weight.ravel()]))[0] for c in range(3)]
+    # nothing where what stands still is behind the plant
+    weight = (np.exp(-(dx**2 + dy**2) / (2.0 * spread**2)) * _at(old.plant, old.tip, dx, dy)).astype(np.float64)
+    weight = weight[..., None] / weight.sum()
 
-    def freed(values: Float32Array) -> FloatArray:
-        parts = [(weight * values)[..., c].ravel() for c in range(3)]
-        return np.concatenate([part - q @ (q.T @ part) for part, q in zip(parts, light, strict=True)])
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray((weight * values).sum(axis=(0, 1)), dtype=np.float64)
 
-    jacobian = np.column_stack([freed(slope) for slope in slopes])
-    normal = jacobian.T @ jacobian
-    if not np.linalg.cond(normal) < _WORST:
+    own = _at(old.code, old.tip, dx, dy).astype(np.float64)
+    light = own - mean(own)
+    strength = np.maximum(mean(light**2), _FLAT)
+
+    def freed(values: FloatArray) -> FloatArray:
+        """Of what a change of light would do to each channel, shape (side, side, 3)."""
+        rest = values - mean(values)
+        return np.asarray(rest - mean(light * rest) / strength * light, dtype=np.float64)
+
+    along, down = (
+        freed(_at(old.code, old.tip + by, dx, dy).astype(np.float64) - _at(old.code, old.tip - by, dx, dy))
+        for by in (_HALF_RIGHT, _HALF_DOWN)
+    )
+    xx, xy, yy = (float(mean(product).sum()) for product in (along * along, along * down, down * down))
+    middle, away = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    least, most = middle - away, middle + away
+    if not least > most / _WORST:
         return None
     place = start
     for _ in range(MOST_STEPS):
-        step = np.linalg.solve(normal, jacobian.T @ freed(_at(code, place, dx, dy) - own))
+        off = _at(code, place, dx, dy) - own
+        x, y = (float(mean(slope * off).sum()) for slope in (along, down))
+        step = np.array([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)
         place = place - step
         if not math.dist(place, start) < MOST_OFF_PX:
             return None
