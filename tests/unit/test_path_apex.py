@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path import apex
+from flora_common.vision.path import apex, nearby
 from flora_common.vision.path.apex import Apex, Followed, apex_at, drawn_to
 from flora_common.vision.path.evidence import Evidence
 
@@ -80,7 +80,7 @@ def test_an_apex_that_turns_by_some_degrees_is_still_found_near_its_place() -> N
         (leaves(7), 300.0),
         (np.full((240, 260, 3), 40, np.uint8), 300.0),
         (moved(leaves(), np.array([60.0, 0.0])), 300.0),
-        (leaves(), apex.LONGEST_S + 1.0),
+        (leaves(), nearby.LONGEST_S + 1.0),
         (leaves(), -1.0),
     ],
     ids=["another apex", "nothing", "too far", "too late", "too early"],

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from flora_common.geometry import FloatArray
 from flora_common.vision.path.curve import arc_length
 from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.path.nearby import LONGEST_S
 from flora_common.vision.picture import Picture
 
 Float32Array = npt.NDArray[np.float32]
@@ -38,8 +39,6 @@ LEAST_ALIKE: Final = 0.85
 """Correlation; apices of which one is known to be the other seldom have less than 0.95."""
 MOST_STEPS, CLOSE_PX, MOST_OFF_PX = 12, 0.01, 2.0
 """Of the search for a fraction of a pixel; one that leads farther from where it set out has lost the apex."""
-LONGEST_S: Final = 1200.0
-"""An apex that was seen longer ago may be anywhere, and look otherwise."""
 MOVED_ERROR_CM, MOVED_ERROR_SHARE = 0.02, 0.04
 """Standard deviation of a motion, and share of it: a tip that swings turns, too, and its leaves before it."""
 MEASURED_ERROR_CM: Final = 0.1
@@ -168,8 +167,7 @@ class Followed:
 
     def _remembered(self, tip_px: FloatArray, var_px: float) -> Apex | None:
         assert self._before is not None
-        after = apex_at(self._evidence, self._time_s, tip_px, var_px, self._scale)
-        return after and msgspec.structs.replace(after, sure=self._before.sure)
+        return apex_at(self._evidence, self._time_s, tip_px, var_px, self._scale, self._before.sure)
 
 
 def judged(apex: Apex, *, is_sure: bool) -> Apex:
@@ -191,7 +189,9 @@ def found_again(before: Apex, evidence: Evidence, px_per_cm: float) -> FloatArra
     return None if end is None else end + origin
 
 
-def apex_at(evidence: Evidence, time_s: float, tip_px: FloatArray, var_px: float, px_per_cm: float) -> Apex | None:
+def apex_at(
+    evidence: Evidence, time_s: float, tip_px: FloatArray, var_px: float, px_per_cm: float, sure: int = 0
+) -> Apex | None:
     """What is remembered of an apex; None where it is too near to the edge of what was looked at."""
     half = math.ceil(HALF_SPREADS * SPREAD_CM * px_per_cm) + 1
     corner = np.rint(tip_px).astype(int) - half
@@ -204,7 +204,7 @@ def apex_at(evidence: Evidence, time_s: float, tip_px: FloatArray, var_px: float
     plant = cv2.dilate(np.asarray(evidence.plant[rows, columns] > 0.0, dtype=np.uint8), _EDGE)
     code = np.dstack([evidence.code[rows, columns], plant]).tobytes()
     tip = float(tip_px[0]), float(tip_px[1])
-    return Apex(time_s, tip, var_px, (int(corner[0]), int(corner[1])), code, side)
+    return Apex(time_s, tip, var_px, (int(corner[0]), int(corner[1])), code, side, sure)
 
 
 def drawn_to(line: FloatArray, tip_px: FloatArray, section_px: float) -> FloatArray:

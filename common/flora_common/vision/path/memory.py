@@ -58,7 +58,6 @@ class State:
     Attributes:
         measured_cm: length of the stem in this picture by itself.
         followed: the apex of the picture before in this one.
-        astray: whether the stem ends elsewhere.
         length, apex, elsewhere, sure, near: see :class:`Memory`.
     """
 
@@ -67,7 +66,6 @@ class State:
     followed: Followed
     apex: Apex | None
     near: Nearby | None
-    astray: bool = False
     elsewhere: int = 0
     sure: bool = True
 
@@ -96,10 +94,12 @@ def remembered(
     """
     if memory is None and doubted:
         return None
-    if memory is not None and (doubted or state.astray or outcome == JUMPED or seen < LEAST_SEEN):
+    astray = state.followed.is_astray(line_px[-1])
+    if memory is not None and (doubted or astray or outcome == JUMPED or seen < LEAST_SEEN):
         count = memory.doubts + 1
-        if count < (ASTRAY_BELIEVED if state.astray else DOUBTS_BELIEVED):
-            return _kept(msgspec.structs.replace(memory, doubts=count), state)
+        if count < (ASTRAY_BELIEVED if astray else DOUBTS_BELIEVED):
+            known = _as_of_now(memory, state) if astray else memory
+            return msgspec.structs.replace(known, doubts=count)
         # of a new place the length is known, but not what the old one's history says of it
         belief = LengthState(state.length.time_s, state.measured_cm)
     else:
@@ -110,10 +110,8 @@ def remembered(
     return Memory(line, belief, seen, apex=apex, elsewhere=state.elsewhere, sure=state.sure, near=near)
 
 
-def _kept(memory: Memory, state: State) -> Memory:
-    """What was known before the picture; where its apex was seen once more, as of now."""
-    if not state.astray:
-        return memory
+def _as_of_now(memory: Memory, state: State) -> Memory:
+    """What was known before a picture in which the apex was seen once more."""
     return msgspec.structs.replace(
         memory,
         line_px=_points(state.followed.drawn(np.array(memory.line_px))),

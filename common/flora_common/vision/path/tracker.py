@@ -13,14 +13,22 @@ from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.path import curve, doubts, length, nearby
-from flora_common.vision.path.apex import Followed
+from flora_common.vision.path.apex import Apex, Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
 from flora_common.vision.path.evidence import Evidence, PlantFinder
 from flora_common.vision.path.extent import as_long_as, by_arc, in_cm, uncertainty_mm
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.likeness import OF_FRAMES, OF_THE_FIRST, USUAL, Likeness, SetupLikeness
-from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory, State, before_of, remembered
+from flora_common.vision.path.memory import (
+    ASTRAY_BELIEVED,
+    DOUBTS_BELIEVED,
+    LEAST_SEEN,
+    Memory,
+    State,
+    before_of,
+    remembered,
+)
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import Strands, find_strands, plant_mask
 from flora_common.vision.path.survey import Survey, nearest_in_window
@@ -49,8 +57,6 @@ UNCERTAIN_TIP_MM: Final = 4.0
 BLUR_PX: Final = 2.0
 """A thin stem looks wider in a photograph, by lens, JPEG and smoothing."""
 FOLD_CM: Final = 0.15
-STARTS_BELIEVED: Final = 3
-"""After so many first pictures that are not clear, the next is believed all the same."""
 STEPS_BELIEVED: Final = 4
 """After so many pictures in a row that say so it is the stem all the same."""
 HOLDS_FROM, HOLDING_TRUST = 0.4, 4.0
@@ -155,11 +161,9 @@ class PathTracker:
         if not nearby.same_stem(stem, before, memory.seen, scale):
             return None
         belief = self._belief(stem, tip, time_s)
-        final = self._ended(stem, tip, followed, belief)
+        final, apex = self._ended(stem, tip, followed, belief)
         if followed.is_astray(final.line[-1]):
             return None
-        line, apex = followed.believed(final.line)
-        final = replace(final, line=line)
         mask = plant_mask(evidence, self._widest_px)
         beyond = doubts.beyond_px(final.line, mask, evidence.origin_px, scale)
         above_cm, ahead_cm = (nearby.DOUBTS_SOONER * v / scale for v in beyond)
@@ -197,10 +201,7 @@ class PathTracker:
             # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
             fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s)
-        final = self._ended(fit.reached, fit.tip, followed, belief)
-        astray = followed.is_astray(final.line[-1])
-        line, apex = followed.believed(final.line)
-        final = replace(final, line=line)
+        final, apex = self._ended(fit.reached, fit.tip, followed, belief)
         above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands.mask, strands.origin_px, scale))
         doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm)
         doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
@@ -209,14 +210,14 @@ class PathTracker:
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
-        if astray:
+        if followed.is_astray(final.line[-1]):
             unsure = "it ends elsewhere than the apex before, which is still to be seen"
         if elsewhere > STEPS_BELIEVED:
             unsure = "another part of the plant has looked more like the stem for some time"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
         known = self.memory.near if self.memory is not None else None
         kept = near if clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
-        state = State(belief, fit.reached.length / scale, followed, apex, kept, astray, elsewhere, sure)
+        state = State(belief, fit.reached.length / scale, followed, apex, kept, elsewhere, sure)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
@@ -253,24 +254,25 @@ class PathTracker:
         """The same, unless its tip is farther from the one before than any grows and the old place shows a stem too.
 
         Then that, and for how many pictures in a row it was preferred: a leaf that is taken for the tip in one picture
-        is not in the next ones, and a stem that was mistaken is.
+        is not in the next ones, and a stem that was mistaken is. A stem that gets to the same tip by a detour is not
+        counted, for the old one is plainly better; an apex that was never plain to see is not held to.
         """
         if self.memory is None or before is None or before.trust < HOLDS_FROM:
             return fit, 0
+        scale = self.camera.px_per_cm
         hours = max(0.0, time_s - self.memory.length.time_s) / 3600.0
-        most_px = (nearby.STEP_CM + nearby.STEP_SHARE * self.settings.fastest_cm_per_h * hours) * self.camera.px_per_cm
+        most_px = (nearby.STEP_CM + nearby.STEP_SHARE * self.settings.fastest_cm_per_h * hours) * scale
         count, near, seen = self.memory.elsewhere, self.memory.near, self.memory.seen
         if math.dist(fit.reached.line[-1], before.line_px[-1]) <= most_px:
-            if near is None or not nearby.is_detour(fit.reached, before, self.camera.px_per_cm):
-                return fit, 0
-            stem, tip = nearby.found(before.line_px, near, sampler, self.camera.px_per_cm, before)
-            same = nearby.same_stem(stem, before, seen, self.camera.px_per_cm)
-            return (_Fit(fit.chain, tip, stem, near.sure_px, held=True) if same else fit), 0
+            if near is not None and nearby.is_detour(fit.reached, before, scale):
+                stem, tip = nearby.found(before.line_px, near, sampler, scale, before)
+                if nearby.same_stem(stem, before, seen, scale):
+                    return _Fit(fit.chain, tip, stem, near.sure_px, held=True), 0
+            return fit, 0
         if followed.there is not None and not followed.is_known:
             return fit, 0
         late = count >= (ASTRAY_BELIEVED if followed.is_known else STEPS_BELIEVED)
         if near is not None:
-            scale = self.camera.px_per_cm
             there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
             if there is not None:
                 return _Fit(fit.chain, there[1], there[0], near.sure_px, held=True), count + 1
@@ -285,11 +287,12 @@ class PathTracker:
             return False
         return math.dist(chain.points[-1], self.memory.line_px[-1]) < SAME_TIP_CM * self.camera.px_per_cm
 
-    def _ended(self, stem: Stem, tip: Tip, followed: Followed, belief: LengthState) -> Stem:
-        """The stem as it was measured, if it ends by its apex; else as long as is believed of it."""
-        if followed.is_near(stem.line[-1]):
-            return stem
-        return as_long_as(stem, tip, belief.length_cm * self.camera.px_per_cm)
+    def _ended(self, stem: Stem, tip: Tip, followed: Followed, belief: LengthState) -> tuple[Stem, Apex | None]:
+        """The stem up to where its apex is believed to be, or as long as it is believed to be; and that apex."""
+        if not followed.is_near(stem.line[-1]):
+            stem = as_long_as(stem, tip, belief.length_cm * self.camera.px_per_cm)
+        line, apex = followed.believed(stem.line)
+        return replace(stem, line=line), apex
 
     def _belief(self, stem: Stem, tip: Tip, time_s: float) -> LengthState:
         scale = self.camera.px_per_cm
@@ -305,7 +308,7 @@ class PathTracker:
         if strength < FAINT and float(np.ptp(stem.line[:, 1])) < LEVEL * stem.length:
             unmet = unmet or "what begins at the anchor lies level and is faint, as the edges of soil and pot are"
         self._doubtful_starts = self._doubtful_starts + 1 if unmet else 0
-        return unmet if self._doubtful_starts < STARTS_BELIEVED else ""
+        return unmet if self._doubtful_starts < DOUBTS_BELIEVED else ""
 
     def _told(
         self, stem: Stem, state: State, evidence: Evidence, doubt: str, unsure: str
