@@ -23,9 +23,6 @@ Array = npt.NDArray[Any]
 
 CLAIM: Final = 4.0
 """Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
-CONSTANT_LESS: Final = 1.5
-"""Nats that it needs less where it is but another value of a plant's constant: how plants differ in these is measured,
-how wrong the law is in all else is only expected."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
 FORM: Final = 0.015
@@ -171,7 +168,7 @@ class Explainer:
             best = stage.tried[0]
             stages.append(stage)
             if (
-                best.gain < self._needed(best.effect, accepted)
+                best.gain < self._needed(accepted)
                 or len(accepted) == MOST_CAUSES
                 or stage.has_no_name(self.nameless)
             ):
@@ -199,11 +196,11 @@ class Explainer:
         beside = self._beside(stages[-1], accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
 
-    def _needed(self, effect: Effect, accepted: Sequence[Accepted]) -> float:
-        """Nats that this one must have as one cause more."""
+    def _needed(self, accepted: Sequence[Accepted]) -> float:
+        """Nats that one cause more must have."""
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        return claim_of(effect, self.claim) + min(wrong, _MOST_OF_FORM)
+        return self.claim + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -216,7 +213,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name), 12)
-            if found.evidence - less.evidence >= claim_of(earlier.tried.effect, self.claim):
+            if found.evidence - less.evidence >= self.claim:
                 continue
             found = less
             accepted.remove(earlier)
@@ -357,11 +354,6 @@ class Explainer:
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)
-
-
-def claim_of(effect: Effect, claim: float) -> float:
-    """Nats that a first cause must have to be named, of the ``claim`` of an explanation."""
-    return claim - (CONSTANT_LESS if effect.is_of_constants else 0.0)
 
 
 def _tried(before: Found, effect: Effect, fit: Found) -> Tried:

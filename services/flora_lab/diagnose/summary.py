@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from flora_lab.diagnose.diagnosis import NamedCause
-from flora_lab.diagnose.explain import Explanation, claim_of
+from flora_lab.diagnose.explain import Explanation
 from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME
@@ -25,10 +25,9 @@ def nearest(explanation: Explanation) -> str:
     best = explanation.nearest
     if best is None or best.gain < _WORTH_A_WORD:
         return ""
-    needed = claim_of(best.effect, explanation.claim)
     return (
         f"Nearest to a name comes {title(best.effect.name).lower()}: with it the runs are "
-        f"{times_as_probable(best.gain)}; a name takes {times(needed)}."
+        f"{times_as_probable(best.gain)}; a name takes {times(explanation.claim)}."
     )
 
 
