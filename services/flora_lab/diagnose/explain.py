@@ -167,11 +167,7 @@ class Explainer:
                 stage = self.stage(joint, better, swing)
             best = stage.tried[0]
             stages.append(stage)
-            if (
-                best.gain < self._needed(accepted)
-                or len(accepted) == MOST_CAUSES
-                or stage.has_no_name(self.nameless)
-            ):
+            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name(self.nameless):
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
