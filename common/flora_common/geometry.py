@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_common.shapes import STEM_POINTS, Obstacle
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -73,21 +73,6 @@ def distance_to_polyline_cm(points_cm: npt.ArrayLike, polyline_cm: npt.ArrayLike
     nearest = a + t[..., None] * ab
     distances: FloatArray = np.sqrt(((q - nearest) ** 2).sum(axis=2)).min(axis=1)
     return distances
-
-
-def fitness(tip_x_cm: float, tip_y_cm: float, target: Target) -> float:
-    """The paper's behavioural fitness F (equation for F in its section "Evolutionary approach").
-
-    F = (x_r + y_r) / (|x*| + |y*|) with x_r = |x*| - |x* - x_tip| and y_r = |y*| - |y* - y_tip|.
-    1.0 is a tip on the target's centre; a tip that moved away gives values below that of the anchor (0.0).
-
-    Raises:
-        ValueError: the target lies on the anchor, where F is not defined.
-    """
-    best = abs(target.x_cm) + abs(target.y_cm)
-    if best == 0.0:
-        raise ValueError("fitness is not defined for a target at the anchor (0, 0)")
-    return (best - abs(target.x_cm - tip_x_cm) - abs(target.y_cm - tip_y_cm)) / best
 
 
 def resample_by_height(centreline_cm: npt.ArrayLike, count: int = STEM_POINTS) -> FloatArray:

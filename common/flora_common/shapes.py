@@ -29,6 +29,20 @@ class Target:
         """Whether a point lies on or inside the target's circle."""
         return self.distance_cm(x_cm, y_cm) <= self.radius_cm
 
+    def fitness(self, tip_x_cm: float, tip_y_cm: float) -> float:
+        """The paper's behavioural fitness F of a tip (equation for F in its section "Evolutionary approach").
+
+        F = (x_r + y_r) / (|x*| + |y*|) with x_r = |x*| - |x* - x_tip| and y_r = |y*| - |y* - y_tip|.
+        1.0 is a tip on the target's centre; a tip that moved away gives values below that of the anchor (0.0).
+
+        Raises:
+            ValueError: the target lies on the anchor, where F is not defined.
+        """
+        best = abs(self.x_cm) + abs(self.y_cm)
+        if best == 0.0:
+            raise ValueError("fitness is not defined for a target at the anchor (0, 0)")
+        return (best - abs(self.x_cm - tip_x_cm) - abs(self.y_cm - tip_y_cm)) / best
+
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:

@@ -15,7 +15,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, clearance_cm, fitness
+from flora_common.geometry import FloatArray, clearance_cm
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
 from flora_common.open_loop import OpenLoopSection, open_loop_side
@@ -270,7 +270,7 @@ class ControllerCore:
         x, y = float(points[-1, 0]), float(points[-1, 1])
         over = record.run_over
         if self._target is not None:
-            now = fitness(x, y, self._target)
+            now = self._target.fitness(x, y)
             best = now if record.best_fitness is None else max(now, record.best_fitness)
             reached = record.target_reached or self._target.contains(x, y)
             record = msgspec.structs.replace(record, best_fitness=best, target_reached=reached)
@@ -296,7 +296,7 @@ class ControllerCore:
             controller=self.steering.name[:LONGEST_REASON],
             sha256=self.steering.sha256,
             time_s=stem.time_s,
-            fitness=None if tip is None or self._target is None else fitness(*tip, self._target),
+            fitness=None if tip is None or self._target is None else self._target.fitness(*tip),
             best_fitness=record.best_fitness,
             tip_cm=tip,
             target_reached=record.target_reached,

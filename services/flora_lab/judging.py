@@ -74,7 +74,7 @@ def judge(
     tips, at_h = points_cm[:, -1], time_s / 3600.0
     over_time = best = at_target = at_stop = reached_h = None
     if target is not None:
-        over_time = np.array([geometry.fitness(x, y, target) for x, y in tips.tolist()])
+        over_time = np.array([target.fitness(x, y) for x, y in tips.tolist()])
         at_stop, best = float(over_time[stop_row]), float(over_time[: stop_row + 1].max())
         inside = [target.contains(x, y) for x, y in tips[: stop_row + 1].tolist()]
         if True in inside:

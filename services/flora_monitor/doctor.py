@@ -14,13 +14,13 @@ from typing import Final
 import msgspec
 
 from flora_common.config import RigSection
+from flora_common.health import services_of_catalogue
 from flora_monitor.doctor_case import Case, Heard, check_config, print_configs
 from flora_monitor.doctor_devices import check_camera, check_flash, check_strips
 from flora_monitor.doctor_machine import check_clock, check_journal, check_memory, check_power, check_programs
 from flora_monitor.doctor_store import check_controller, check_disk, check_keys, check_nas, check_run
 from flora_monitor.doctor_units import check_units, read_units
 from flora_monitor.doctor_world import NotUsed, Remark, Verdict, World, Wrong
-from flora_monitor.health import services_of_catalogue
 
 MARKS: Final[dict[Verdict, str]] = {"good": "✓", "wrong": "✗", "not used here": "–", "not looked at": "?"}
 

@@ -12,10 +12,10 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from flora_common.config import DEFAULT_CONFIG, RigSection
+from flora_common.health import Line
 from flora_common.runs import RunFolder
 from flora_monitor.doctor_units import MANUAL, Units, account_of
 from flora_monitor.doctor_world import Account, Done, NotLookedAt, World, Wrong
-from flora_monitor.health import Line
 
 AT_ONCE: Final = 2
 """Services asked for their configuration at once: a rig that runs must not be held up."""

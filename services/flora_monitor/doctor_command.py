@@ -13,7 +13,7 @@ from rich.text import Text
 
 from flora_common.bus import LATE_FACTOR
 from flora_common.clock import SystemClock
-from flora_monitor.health import HealthBoard
+from flora_common.health import HealthBoard
 from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Listener, hear_health
 from flora_monitor.options import Common, Config, Json, common_options
 from flora_monitor.show import printable

@@ -13,8 +13,8 @@ import zmq
 from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
 from flora_common.config import RigSection
+from flora_common.health import HealthBoard
 from flora_common.messages import Health
-from flora_monitor.health import HealthBoard
 from flora_monitor.stats import matches, rig_of, topic_text
 
 NO_BUS_AFTER_S: Final = 2.0

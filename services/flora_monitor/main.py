@@ -19,12 +19,12 @@ from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
 from flora_common.errors import BadInput
+from flora_common.health import HealthBoard
 from flora_common.messages import Health
 from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
 from flora_monitor import show, tape
 from flora_monitor.doctor_command import doctor
-from flora_monitor.health import HealthBoard
 from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener, hear_health
 from flora_monitor.options import (
     Common,

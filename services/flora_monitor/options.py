@@ -12,8 +12,8 @@ import typer
 
 from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
 from flora_common.errors import BadRunFolder
+from flora_common.health import services_of_catalogue
 from flora_common.runs import RunFolder
-from flora_monitor.health import services_of_catalogue
 from flora_monitor.listen import Listener
 from flora_monitor.stats import Board, checked_pattern
 

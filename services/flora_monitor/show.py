@@ -14,8 +14,8 @@ from rich.text import Text
 
 from flora_common.bus import Arrival
 from flora_common.clock import NS
+from flora_common.health import Line
 from flora_common.messages import CATALOGUE, Message
-from flora_monitor.health import Line
 from flora_monitor.stats import Row, Topic, topic_text
 
 COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta")

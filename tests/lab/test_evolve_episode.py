@@ -126,7 +126,7 @@ def test_it_ends_when_the_tip_is_high_enough() -> None:
     assert course.stems_cm[-1, -1, 1] >= 21.0 > course.stems_cm[-2, -1, 1]
     assert course.steps == math.ceil((21.0 - 6.5) / (20.0 * GROWTH_CM_H / 12.0) - 1e-9)
     tip = course.stems_cm[-1, -1]
-    assert course.fitness == geometry.fitness(tip[0], tip[1], AWAY.target)
+    assert course.fitness == AWAY.target.fitness(tip[0], tip[1])
     assert course.stems_cm.shape == (course.steps + 1, 10, 2)
     assert course.outputs.shape == course.is_right.shape == (course.steps,)
 
@@ -140,7 +140,7 @@ def test_it_ends_where_the_stem_touches_and_not_before() -> None:
     assert course.clearance_cm == 0.0
     tip = course.stems_cm[-1, -1]
     assert 7.3 <= tip[1] < 7.6  # the obstacle's lower edge, and one step
-    assert course.fitness == geometry.fitness(tip[0], tip[1], Target(0.0, 17.9))  # no penalty but the end itself
+    assert course.fitness == Target(0.0, 17.9).fitness(tip[0], tip[1])  # no penalty but the end itself
     assert course.first_in_target is None
 
 

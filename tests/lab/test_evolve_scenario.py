@@ -85,7 +85,7 @@ def test_a_single_common_point_is_enough() -> None:
 
 @given(hnp.arrays(np.float64, (5, 2), elements=PLACES), PLACES, st.floats(0.5, 25.0))
 def test_fitness_is_the_papers_to_the_last_bit(tips: Array, x_cm: float, y_cm: float) -> None:
-    wanted = [geometry.fitness(x, y, Target(x_cm, y_cm)) for x, y in tips.tolist()]
+    wanted = [Target(x_cm, y_cm).fitness(x, y) for x, y in tips.tolist()]
 
     assert scenario_batch.fitness(tips, np.array([x_cm, y_cm])).tolist() == wanted
     assert [fitness_lane(x, y, x_cm, y_cm) for x, y in tips] == wanted

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flora_common.controller_file import LoadedController, load_controller
-from flora_common.geometry import FloatArray, fitness
+from flora_common.geometry import FloatArray
 from flora_common.messages import LightCommand, Stem
 from flora_common.messages.catalogue import Outcome
 from flora_common.network import Network
@@ -59,7 +59,7 @@ def test_each_stem_brings_a_command_and_a_state_of_its_tick() -> None:
     assert (light.tick, light.light, light.blind, said.tick, said.decisions) == (7, "left", False, 7, 1)
     assert said.controller == "tip-follower"
     assert said.tip_cm == (1.0, 10.0)
-    assert said.fitness == said.best_fitness == pytest.approx(fitness(1.0, 10.0, TARGET))
+    assert said.fitness == said.best_fitness == pytest.approx(TARGET.fitness(1.0, 10.0))
 
 
 @pytest.mark.parametrize("outcome", ["no_stem", "jumped", "occluded", "touches_edge", "bad_picture", "no_frame"])
@@ -180,7 +180,7 @@ def test_the_target_counts_as_reached_from_then_on_and_the_best_fitness_stays() 
     said = answer[1]
     assert said.target_reached
     assert said.fitness is not None
-    assert said.best_fitness == pytest.approx(fitness(-5.0, 17.0, TARGET))
+    assert said.best_fitness == pytest.approx(TARGET.fitness(-5.0, 17.0))
     assert said.fitness < 0.6
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, clearance_cm, collides, fitness
+from flora_common.geometry import FloatArray, clearance_cm, collides
 from flora_common.open_loop import OpenLoopSection
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
@@ -166,7 +166,7 @@ def judge(run: list[FloatArray]) -> tuple[bool, bool, float, float]:
     return (
         any(collides(points, OBSTACLE) for points in run),
         any(TARGET.contains(*points[-1]) for points in run),
-        max(fitness(*points[-1], TARGET) for points in run),
+        max(TARGET.fitness(*points[-1]) for points in run),
         min(clearance_cm(points, OBSTACLE) for points in run),
     )
 

@@ -14,7 +14,6 @@ from flora_common.geometry import (
     clearance_cm,
     collides,
     distance_to_polyline_cm,
-    fitness,
     resample_by_height,
 )
 from flora_common.shapes import Obstacle, Target
@@ -119,20 +118,20 @@ def test_distance_to_polyline_by_hand() -> None:
     ],
 )
 def test_fitness_is_the_papers(tip: tuple[float, float], value: float) -> None:
-    assert fitness(*tip, Target(x_cm=-5.12, y_cm=17.9)) == pytest.approx(value)
+    assert Target(x_cm=-5.12, y_cm=17.9).fitness(*tip) == pytest.approx(value)
 
 
 def test_fitness_of_a_target_at_the_anchor_is_not_defined() -> None:
     with pytest.raises(ValueError, match="not defined for a target at the anchor"):
-        fitness(1.0, 1.0, Target(0.0, 0.0))
+        Target(0.0, 0.0).fitness(1.0, 1.0)
 
 
 @given(COORDINATE, COORDINATE, COORDINATE, COORDINATE)
 def test_fitness_is_best_on_the_target_and_the_same_mirrored(tx: float, ty: float, x: float, y: float) -> None:
     assume(abs(tx) + abs(ty) > 0)
-    value = fitness(x, y, Target(tx, ty))
+    value = Target(tx, ty).fitness(x, y)
     assert value <= 1.0
-    assert fitness(-x, y, Target(-tx, ty)) == pytest.approx(value)
+    assert Target(-tx, ty).fitness(-x, y) == pytest.approx(value)
 
 
 def test_target_contains_its_edge() -> None:

@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 
 from flora_common.config import ClockSection, RigSection
+from flora_common.health import Line, services_of_catalogue
 from flora_monitor import doctor_nas
 from flora_monitor.doctor import CHECKS, Finding, examine, json_of, sentence, summary, take_case
 from flora_monitor.doctor_case import Heard
 from flora_monitor.doctor_machine import journal_storage
 from flora_monitor.doctor_units import TARGET
 from flora_monitor.doctor_world import Account, Done, Room, World, run_child, this_machine
-from flora_monitor.health import Line, services_of_catalogue
 from flora_monitor.main import main
 from signing_keys import ADA
 

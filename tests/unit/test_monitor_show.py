@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from flora_common.health import services_of_catalogue
 from flora_common.messages import ControllerChunk, LightCommand
-from flora_monitor.health import services_of_catalogue
 from flora_monitor.show import compact
 
 

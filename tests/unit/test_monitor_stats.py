@@ -11,9 +11,9 @@ import pytest
 from flora_common.bus import Arrival
 from flora_common.clock import NS
 from flora_common.errors import BadInput
+from flora_common.health import HealthBoard, services_of_catalogue
 from flora_common.messages import CATALOGUE, Health, LightCommand, Message, Stem, Tick, encode, spec_of
 from flora_monitor import show
-from flora_monitor.health import HealthBoard, services_of_catalogue
 from flora_monitor.stats import MAX_STREAMS, OTHERS, Board, Spread, checked_pattern, matches, topic_lines
 
 

@@ -164,7 +164,7 @@ def _answer(controller: Controller, stem_cm: FloatArray, scenario: Scenario) -> 
 
 
 def _fitness(stem_cm: FloatArray, target: Target, task: Task, reason: Reason) -> float:
-    fitness = geometry.fitness(float(stem_cm[-1, 0]), float(stem_cm[-1, 1]), target)
+    fitness = target.fitness(float(stem_cm[-1, 0]), float(stem_cm[-1, 1]))
     return float(scored(task, np.array(fitness), np.array(REASONS.index(reason))))
 
 

@@ -63,7 +63,7 @@ def collide(points_cm: FloatArray, edges_cm: FloatArray) -> Array:
 
 
 def fitness(tips_cm: FloatArray, targets_cm: FloatArray) -> FloatArray:
-    """The paper's F; see :func:`flora_common.geometry.fitness`.
+    """The paper's F; see :func:`flora_common.shapes.Target.fitness`.
 
     Args:
         tips_cm, targets_cm: shapes (..., 2) that broadcast.

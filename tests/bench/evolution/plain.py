@@ -96,6 +96,6 @@ def _with_torch(simulator: PaperSimulator, task: Task, config: Any) -> Plain:
                     memory = after if simulator.stateful else None
                     points = head(hidden)
                     continue
-                return Episode(tuple(lamps), REASONS.index(reason), geometry.fitness(x, y, target), tuple(doubts))
+                return Episode(tuple(lamps), REASONS.index(reason), target.fitness(x, y), tuple(doubts))
 
     return run
