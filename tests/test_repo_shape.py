@@ -16,7 +16,7 @@ SERVICES = sorted(p.name for p in (ROOT / "services").iterdir() if p.is_dir() an
 COMMANDS = sorted(PROJECT["project"]["scripts"])
 NO_UNIT = {"flora-monitor", "flora-twin", "flora-lab"}
 """Commands that a person types; nothing to start at boot."""
-LEAN = {"flora-bus", "flora-flash", "flora-capture", "flora-led", "flora-uploader", "flora-recorder"}
+LEAN = {"flora-bus", "flora-flash", "flora-capture", "flora-led", "flora-uploader", "flora-recorder", "flora-dashboard"}
 """Services that only move messages and files: numpy alone would add a third to the memory of each."""
 LEARNING = ("torch", "neat", "numba", "scipy", "sklearn", "statsmodels", "matplotlib", "ray")
 

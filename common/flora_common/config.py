@@ -35,6 +35,9 @@ SECTIONS: Final = (
 )
 """Every section that a rig's file may have. A service reads ``[rig]`` and its own; of the others it checks the name."""
 
+DASHBOARD_PORT: Final = 8322
+"""Where the page is looked for, unless the configuration says otherwise."""
+
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^(ipc|tcp|inproc)://.+", max_length=256)]
 
 

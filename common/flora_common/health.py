@@ -13,6 +13,8 @@ from flora_common.messages import CATALOGUE, Health
 EVERY_SERVICE: Final = "every service"
 COMES_AND_GOES: Final = "flora-lab"
 """Says something now and then, from another machine; a rig is well without it."""
+ONLY_LOOKS: Final = "flora-dashboard"
+"""A rig is well without it; where it runs it is judged like the others."""
 
 
 def services_of_catalogue() -> tuple[str, ...]:

@@ -24,6 +24,7 @@ SERVICES = (
     "flora-led",
     "flora-uploader",
     "flora-recorder",
+    "flora-dashboard",
 )
 COMMANDS = (*SERVICES, "flora-monitor")
 DEVICE_TREE_MODEL = Path("/proc/device-tree/model")

@@ -24,6 +24,7 @@ from flora_capture.service import CaptureSection
 from flora_common.config import SECTIONS, RigSection
 from flora_common.files import write_text
 from flora_controller.core import ControllerSection
+from flora_dashboard.section import DashboardSection
 from flora_flash.handshake import FlashSection
 from flora_lab.serve.section import LabSection
 from flora_led.service import LedSection
@@ -45,6 +46,7 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
     "led": LedSection,
     "uploader": UploaderSection,
     "recorder": RecorderSection,
+    "dashboard": DashboardSection,
     "lab": LabSection,
     "twin": TwinSection,
     "monitor": MonitorSection,
@@ -72,7 +74,6 @@ All services take both, `flora-lab serve` too. Plant, camera scale, lamps, targe
 to a run and stand in its [run.toml](run-folder.md#runtoml)."""
 
 NO_KEYS = "No keys."
-NOBODY = "Nobody reads it yet; the name is kept."
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +97,7 @@ def page() -> str:
     """The whole page in Markdown."""
     parts = [HEAD, "\n".join(_contents())]
     for section in SECTIONS:
-        parts.append(f"## {section}")
-        struct = STRUCTS.get(section)
-        parts.append(NOBODY if struct is None else "\n\n".join(_of_struct(section, struct)))
+        parts += [f"## {section}", *_of_struct(section, STRUCTS[section])]
     return "\n\n".join(parts) + "\n"
 
 
@@ -227,7 +226,7 @@ def _contents() -> Iterator[str]:
     yield "| section | read by |"
     yield "|---|---|"
     for section in SECTIONS:
-        who = COMMANDS.get(section, f"`flora-{section}`") if section in STRUCTS else "-"
+        who = COMMANDS.get(section, f"`flora-{section}`")
         yield f"| [`[{section}]`](#{section}) | {who} |"
 
 

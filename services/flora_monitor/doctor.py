@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 
 from flora_common.config import RigSection
-from flora_common.health import services_of_catalogue
+from flora_common.health import ONLY_LOOKS, services_of_catalogue
 from flora_monitor.doctor_case import Case, Heard, check_config, print_configs
 from flora_monitor.doctor_devices import check_camera, check_flash, check_strips
 from flora_monitor.doctor_machine import check_clock, check_journal, check_memory, check_power, check_programs
@@ -99,7 +99,7 @@ def take_case(
         rig=rig,
         config=config,
         services=services,
-        printed=print_configs(world, config, services_of_catalogue()),
+        printed=print_configs(world, config, (*services_of_catalogue(), ONLY_LOOKS)),
         units=read_units(world, services),
         heard=heard,
         touch=touch,

@@ -24,6 +24,7 @@ SERVICES = (
     "flora-led",
     "flora-uploader",
     "flora-recorder",
+    "flora-dashboard",
 )
 RUN = "bean-01"
 INSTALLED_WITHIN_S = 480.0

@@ -54,7 +54,7 @@ BOX_OF_ALL = {
     "SystemCallArchitectures": "native",
 }
 HOLES = {
-    "PrivateNetwork": {LAB},
+    "PrivateNetwork": {LAB, "flora-dashboard.service"},
     "PrivateDevices": {"flora-capture.service", "flora-flash.service", "flora-led.service"},
     "MemoryDenyWriteExecute": {LAB},
     "ProtectClock": {"flora-controller.service"},
@@ -229,7 +229,7 @@ def test_each_hole_in_the_box_says_why(name: str) -> None:
     opened = [
         i for i, line in enumerate(lines) if re.match(r"User=root|DeviceAllow=|ReadWritePaths=.*-/|RestrictA.*X ", line)
     ]
-    assert bool(opened) == (name in {*HOLES["PrivateDevices"], "flora-uploader.service", LAB})
+    assert bool(opened) == (name in {*HOLES["PrivateDevices"], *HOLES["PrivateNetwork"], "flora-uploader.service"})
     for i in opened:
         before = [line for line in lines[:i] if not line.startswith(("Device", "User", "Restrict"))]
         assert before[-1].startswith("# "), lines[i]

@@ -35,6 +35,9 @@ def demo(
     fault: Annotated[
         list[str] | None, typer.Option(metavar="NAME@HOUR[:HOURS][=ARG]", help="A fault of the menu; repeatable.")
     ] = None,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard/--no-dashboard", help="Serve the rig's page while the plant grows.")
+    ] = True,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Grow a virtual plant with all services and show what came of it."""
@@ -49,6 +52,7 @@ def demo(
         goes_on=True,
         faults=tuple(parse_fault(text) for text in fault or ()),
         quiet=quiet,
+        dashboard=dashboard,
     )
     console = Console(stderr=False)
     figures, outcome = run_experiment(asked, console)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from flora_common.config import DASHBOARD_PORT
 from flora_common.controller_file import SUFFIX, LoadedController
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes
@@ -28,7 +30,7 @@ from flora_twin.rig.layout import Layout, make_layout, with_task
 from flora_twin.rig.outcome import Outcome, write_report
 from flora_twin.rig.supervisor import ServiceFailed
 from flora_twin.rig.truth import check_truth
-from flora_twin.rig.virtual_rig import Seen, VirtualRig
+from flora_twin.rig.virtual_rig import DASHBOARD, SERVICES, Seen, VirtualRig
 
 RIG_FOLDER = "rig"
 
@@ -51,6 +53,7 @@ class Experiment:
         goes_on: for all its hours, whatever the plant does; else the run ends where it is over.
         faults: on schedule.
         quiet: no progress bar.
+        dashboard: serve the rig's page meanwhile.
     """
 
     out: Path
@@ -66,6 +69,7 @@ class Experiment:
     goes_on: bool = False
     faults: tuple[PlannedFault, ...] = ()
     quiet: bool = False
+    dashboard: bool = False
 
     @property
     def controller_name(self) -> str:
@@ -99,12 +103,15 @@ def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any],
         FloraError: a service failed, or it refuses what it was given.
     """
     _check_faults(asked)
-    layout = _make_rig(asked)
+    port = _free_port() if asked.dashboard else None
+    layout = _make_rig(asked, port)
     began_s = time.monotonic()
     with VirtualRig(layout, seed=asked.seed, rate=asked.rate) as rig, _polite_end(rig):
         if not asked.quiet:
             console.print("starting box, bus and services", style="dim")
-        rig.start()
+        rig.start(SERVICES if port is None else (*SERVICES, DASHBOARD))
+        if port is not None and not asked.quiet:
+            console.print(f"look at it: http://127.0.0.1:{port}/")
         if not asked.quiet:
             console.print("background pictures of the empty box, every lamp state", style="dim")
         rig.calibrate()
@@ -140,21 +147,31 @@ def check_photographs(outcome: Outcome) -> None:
         raise ServiceFailed(f"photographs were lost: {outcome.integrity}")
 
 
-def _make_rig(asked: Experiment) -> Layout:
+def _make_rig(asked: Experiment, port: int | None) -> Layout:
     run_file = RunFile(camera=camera_section(), rig="demo", plant=f"virtual bean, seed {asked.seed}", start=asked.start)
     task = with_task(run_file, asked.target, asked.obstacle)
     root = asked.out / RIG_FOLDER
+    sections: dict[str, dict[str, Any]] = {} if port is None else {"dashboard": {"port": port}}
     if not isinstance(asked.controller, LoadedController):
         named = {"use": asked.controller}
         if asked.keys_dir is not None:
             named |= {"trust": "required", "keys_dir": str(asked.keys_dir)}
-        return make_layout(root, task, sections={"controller": named})
+        return make_layout(root, task, sections=sections | {"controller": named})
     copy = root.resolve() / f"steering{SUFFIX}"
     # Whoever signed it, and whatever it was evolved for: this is where that is found out.
     rules = {"use": str(copy), "trust": "none", "task": "any", "stop_height_cm": asked.stop_height_cm}
-    layout = make_layout(root, task, sections={"controller": rules})
+    layout = make_layout(root, task, sections=sections | {"controller": rules})
     write_bytes(copy, asked.controller.data)
     return layout
+
+
+def _free_port() -> int:
+    """The usual port of the page, or any where somebody else has it: several demos may run on one machine."""
+    for port in (DASHBOARD_PORT, 0):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return int(probe.getsockname()[1])
+    raise ServiceFailed("no port of 127.0.0.1 is free for the page; --no-dashboard does without")
 
 
 def _check_faults(asked: Experiment) -> None:

@@ -46,7 +46,10 @@ SERVICES: Final = (
     "flora-controller",
     "flora-flash",
 )
+DASHBOARD: Final = "flora-dashboard"
+"""A rig is well without it: who wants it starts it besides."""
 STOP_ORDER: Final = (
+    DASHBOARD,
     "flora-flash",
     "flora-capture",
     "flora-stem",

@@ -1,0 +1,1 @@
+"""flora-dashboard: the rig in a browser, to look at."""

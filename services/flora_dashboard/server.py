@@ -1,0 +1,135 @@
+"""The web server in a thread of its own: the service's loop hands it views and never waits for a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import uvicorn
+
+from flora_common.errors import ConfigError
+from flora_dashboard.web import Latest
+
+BACKLOG: Final = 64
+STARTED_WITHIN_S: Final = 20.0
+ENDED_WITHIN_S: Final = 5.0
+SILENT_AFTER_S: Final = 30.0
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        ConfigError: there is no such address, or somebody else is there.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as problem:
+        raise ConfigError(f"[dashboard] host {host}: no address of this machine ({problem.strerror})") from problem
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(BACKLOG)
+    except OSError as problem:
+        listener.close()
+        raise ConfigError(
+            f"[dashboard] cannot listen at {host} port {port} ({problem.strerror}); name another host or port"
+        ) from problem
+    return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    """Where a browser finds it; on this machine, where it listens at every address."""
+    host, port = listener.getsockname()[:2]
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+    return f"http://{shown}:{port}/"
+
+
+class PageServer:
+    """Serves the page from a socket.
+
+    Args:
+        listener: it listens already.
+        make_app: called in the server's own thread; makes the ASGI application.
+    """
+
+    def __init__(self, listener: socket.socket, make_app: Callable[[Latest], Any]) -> None:
+        self._listener = listener
+        self._make_app = make_app
+        self._latest: Latest | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._server: uvicorn.Server | None = None
+        self._alive_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def start(self) -> None:
+        """Start, and wait until it serves.
+
+        Raises:
+            RuntimeError: it does not.
+        """
+        self._thread.start()
+        end_s = time.monotonic() + STARTED_WITHIN_S
+        while not (self._server is not None and self._server.started):
+            if not self._thread.is_alive() or time.monotonic() > end_s:
+                raise RuntimeError("the page's server does not start")
+            time.sleep(0.01)
+        self._alive_s = time.monotonic()
+
+    def tell(self, view: bytes) -> None:
+        """A new view, for all pages that are open."""
+        if self._loop is not None and self._latest is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._latest.put, view)
+
+    def check(self) -> None:
+        """Ask for a sign of life; the answer to the last time must be there.
+
+        Raises:
+            RuntimeError: the thread has ended or hangs. Nothing but a new start mends that.
+        """
+        if not self._thread.is_alive():
+            raise RuntimeError("the page's server has ended")
+        if time.monotonic() - self._alive_s > SILENT_AFTER_S:
+            raise RuntimeError(f"the page's server has given no sign for {SILENT_AFTER_S:g} s")
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._sign)
+
+    def _sign(self) -> None:
+        self._alive_s = time.monotonic()
+
+    def stop(self) -> None:
+        """Say goodbye to every page, and end; a second is waited for those that do not listen."""
+        if self._server is not None and self._loop is not None and self._latest is not None:
+            self._server.should_exit = True
+            if self._thread.is_alive():
+                self._loop.call_soon_threadsafe(self._latest.end)
+        self._thread.join(ENDED_WITHIN_S)
+        self._listener.close()
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        latest = Latest()
+        config = uvicorn.Config(
+            self._make_app(latest),
+            loop="asyncio",
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+            limit_concurrency=None,
+        )
+        self._latest, self._loop = latest, asyncio.get_running_loop()
+        self._server = uvicorn.Server(config)
+        await self._server.serve(sockets=[self._listener])
