@@ -14,7 +14,7 @@ from flora_common.runs import CameraSection, LampsSection, ObstacleSection, RunF
 from flora_dashboard.concerns import Concern, concerns
 from flora_dashboard.history import History
 
-NOT_SHOWN: Final = frozenset({"health", "controller_chunk"})
+NOT_SHOWN: Final = frozenset({"health", "controller_chunk", "job"})
 """Told otherwise, or no news for people."""
 
 

@@ -15,6 +15,7 @@ from flora_common.messages import (
     DiagnosisFound,
     Frame,
     FrameMissed,
+    JobProgress,
     Lamps,
     LightCommand,
     Setup,
@@ -117,6 +118,9 @@ def _of_lab(inbox: Freshness, run: str) -> Iterator[Concern]:
     departure, diagnosis = inbox.last(Departure), inbox.last(DiagnosisFound)
     if departure is not None and departure.run == run and departure.is_departed:
         yield Concern("problem", f"The plant departs from its simulation. {departure.sentence}".rstrip())
+    job = inbox.last(JobProgress)
+    if job is not None and job.stage == "failed":
+        yield Concern("notice", f"The lab's last job ({job.work}) failed: {job.text}")
     if diagnosis is not None:
         yield Concern("notice", f"Diagnosis of {diagnosis.run}: {diagnosis.sentence or _plain(diagnosis.verdict)}")
 

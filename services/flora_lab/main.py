@@ -13,6 +13,7 @@ from flora_lab.dataset import command as dataset
 from flora_lab.diagnose import command as diagnose
 from flora_lab.evaluate import command as evaluate
 from flora_lab.evolve import command as evolve
+from flora_lab.jobs import command as jobs
 from flora_lab.paper import command as paper
 from flora_lab.publish import command as publish
 from flora_lab.publish import signing_command as signing
@@ -38,6 +39,7 @@ SUBCOMMANDS: Final = (
     signing,
     publish,
     serve,
+    jobs,
 )
 
 

@@ -23,6 +23,8 @@ from flora_common.messages import (
     Frame,
     FrameMissed,
     Health,
+    Job,
+    JobProgress,
     Lamps,
     LightCommand,
     Message,
@@ -125,6 +127,8 @@ MESSAGES: tuple[Message, ...] = (
         track_sha256=SHA256,
         sentence="The stem bends under its own weight.",
     ),
+    Job(job=OFFER, work="evolve", arguments=("bean.simulator", "--task", "round", "-o", "round"), stop=False),
+    JobProgress(job=OFFER, work="evolve", stage="working", share=0.25, text="generations", before=0, took_s=42.5),
     Health(
         state="degraded",
         reason="no frame for 11 min (expected every 5 min)",

@@ -12,7 +12,7 @@ import pytest
 from flora_common.errors import StoreError
 from flora_common.runs import CameraSection, RunFile, run_file_text
 from flora_lab.serve.casebook import AGAIN_S, Casebook
-from flora_lab.serve.diagnosing import Ended
+from flora_lab.serve.child import Ended
 from flora_lab.serve.finished import Lasting, Patience, finished
 from flora_lab.serve.ledger import MOST_ATTEMPTS, Entry
 

@@ -65,12 +65,17 @@ def test_with_a_run_it_becomes_a_rig(rig: Rig, table: Table) -> None:
     config = rig.machine.file("/etc/flora/flora.toml").read_bytes()
     done = rig.install()
     assert done.returncode == 0, done.stderr
-    assert re.search(r"^well .* 8 services are ready", done.stdout, re.MULTILINE)
+    assert re.search(rf"^well .* {len(SERVICES)} services are ready", done.stdout, re.MULTILINE)
     assert "NAS: one file written to /srv/nas, read back and removed" in done.stdout
     assert rig.are_ready()
     assert rig.machine.file("/etc/flora/flora.toml").read_bytes() == config
     assert [p.name for p in rig.machine.file("/srv/nas").iterdir() if "doctor" in p.name] == []
-    table.add("with a run folder", "8 services ready, one file to the NAS and back")
+    table.add("with a run folder", f"{len(SERVICES)} services ready, one file to the NAS and back")
+
+
+def test_its_page_can_be_reached_from_out_of_its_box(rig: Rig) -> None:
+    asks = "import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:8322/api/state', timeout=20).status)"
+    assert rig.machine.run("/opt/flora/current/bin/python", "-c", asks).stdout.strip() == "200"
 
 
 def test_the_same_again_changes_nothing(rig: Rig, table: Table) -> None:

@@ -36,6 +36,7 @@ Stage = Literal["waiting", "stored", "refused"]
 OfferStage = Literal["received", "refused", "shadowing", "steering", "returned"]
 SimulatedPlant = Literal["typical", "watched"]
 Verdict = Literal["nothing_wrong", "explained", "unexplained", "failed"]
+JobStage = Literal["waiting", "working", "done", "refused", "failed", "stopped"]
 
 CHUNK_BYTES: Final = 16 * 1024
 """Of a file that is offered, before base64; every chunk but the last has exactly this many."""
@@ -43,6 +44,7 @@ MAX_CHUNKS: Final = 62
 """Of the largest controller file, 1 MB."""
 MOST_SHADOW_TICKS: Final = 100_000
 MOST_CAUSES: Final = 20
+MOST_ARGUMENTS: Final = 60
 OfferId = Annotated[
     str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)", max_length=16, description="drawn anew by whoever offers")
 ]
@@ -302,6 +304,36 @@ class DiagnosisFound(Message, kw_only=True, frozen=True):
     path: Annotated[str, Meta(max_length=500, description="folder of the diagnosis, at the lab's machine")] = ""
     track_sha256: OptionalSha256 = ""
     sentence: Sentence = ""
+
+
+@message("job", owner="flora-lab", period="none", keep=False)
+class Job(Message, kw_only=True, frozen=True):
+    """Work that a lab is asked to do, as ``flora-lab WORK ARGUMENTS`` would. Said again, it asks how the job is."""
+
+    job: Annotated[OfferId, Meta(description="drawn anew by whoever asks")]
+    work: Annotated[Name, Meta(description="a subcommand of flora-lab, such as train or evolve")]
+    arguments: Annotated[
+        tuple[Annotated[str, Meta(max_length=300)], ...],
+        Meta(max_length=MOST_ARGUMENTS, description="its arguments; paths are relative to the folder of all jobs"),
+    ] = ()
+    stop: Annotated[bool, Meta(description="no longer: end it, or take it from those that wait")] = False
+
+
+@message("job_progress", owner="flora-lab", period="none")
+class JobProgress(Message, kw_only=True, frozen=True):
+    """What has become of a job. Said at each change, every few seconds while it is worked at, and when it is asked."""
+
+    job: OfferId
+    work: Name
+    stage: Annotated[
+        JobStage, Meta(description="refused: never begun; failed: ended without a result; stopped: by whoever asked")
+    ]
+    share: Annotated[
+        Share | None, Meta(description="of the present part of the work; none where that is not known")
+    ] = None
+    text: Annotated[Sentence, Meta(description="what is done now, why it failed, or what the work said last")] = ""
+    before: Annotated[Count, Meta(description="jobs that come first")] = 0
+    took_s: Seconds = 0.0
 
 
 @message("health", owner="every service", period="10 s", per_source=True)

@@ -92,6 +92,10 @@ function showNow() {
   if (departure && departure.run === view.run) {
     facts.push(["against its simulation", `tip ${departure.tip_error_mm.toFixed(0)} mm off, ${departure.expected_mm.toFixed(0)} mm expected`]);
   }
+  const job = message("job_progress");
+  if (job && (job.stage === "working" || job.stage === "waiting")) {
+    facts.push(["at the lab", [job.work, job.stage === "waiting" ? "waits" : job.text, job.share === null ? "" : percent(job.share)].filter(Boolean).join(", ")]);
+  }
   byId("facts").replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
   const told = view.concerns.map((one) => element("li", one.text, one.level));
   byId("concerns").replaceChildren(...(told.length ? told : [element("li", "Nothing: all is as it should be.", "good")]));

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.bars import Bars
 from flora_lab.late import modules_of
 from flora_lab.made_folders import must_be_new
 
@@ -85,7 +86,7 @@ def _progress(silent: bool) -> Iterator[tuple[Callable[[str, int], Callable[[], 
     """A bar for each stage on a terminal; nothing elsewhere. Notes go to stderr."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+    with Bars(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
 
         def stage(name: str, total: int) -> Callable[[], None]:
             task = bars.add_task(name, total=total)

@@ -11,9 +11,10 @@ from typing import Annotated, Final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput, FloraError
+from flora_lab.bars import Bars
 from flora_lab.late import modules_of
 from flora_lab.stopped_work import sigterm_ends
 
@@ -131,6 +132,6 @@ def _bar(name: str, total: int, silent: bool) -> Iterator[Callable[[], None]]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     is_hidden = silent or not console.is_terminal or total == 0
-    with Progress(*columns, console=console, disable=is_hidden, transient=True) as bars:
+    with Bars(*columns, console=console, disable=is_hidden, transient=True) as bars:
         task = bars.add_task(name, total=total)
         yield lambda: bars.advance(task)

@@ -8,10 +8,11 @@ from typing import Final
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
+from flora_lab.bars import Bars
 from flora_lab.evolve.crew import SliceDone
 from flora_lab.evolve.plan import Plan
 
@@ -41,7 +42,7 @@ class Screen:
             TextColumn("left"),
             TimeRemainingColumn(),
         )
-        self._bar = Progress(*columns, console=console, speed_estimate_period=_SPEED_OVER_S)
+        self._bar = Bars(*columns, console=console, speed_estimate_period=_SPEED_OVER_S)
         self._task = self._bar.add_task("generations", total=plan.runs * plan.generations)
 
     def run(self, now: SliceDone) -> None:

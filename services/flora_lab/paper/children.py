@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
 
 from flora_common.errors import FloraError
+from flora_lab.bars import ENVIRONMENT
 from flora_lab.stopped_work import waited_for
 
 
@@ -46,6 +48,8 @@ def run_child(program: str, arguments: Sequence[str], *, held: int, is_silent: b
         errors="replace",
         pass_fds=(held,),
         start_new_session=True,
+        # Who waits from afar is told of steps, not of each step's own bars.
+        env={name: value for name, value in os.environ.items() if name != ENVIRONMENT},
     )
     said = waited_for(process)
     status = process.returncode

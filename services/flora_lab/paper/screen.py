@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from flora_lab.bars import Teller
 from flora_lab.paper.steps import Step
 
 
@@ -18,6 +19,7 @@ class Screen:
     def __init__(self, count: int, *, is_silent: bool) -> None:
         self._count = count
         self._is_silent = is_silent
+        self._teller = Teller()
 
     def kept(self, number: int, step: Step, took_s: float) -> None:
         """See :class:`flora_lab.paper.steps.Watcher`."""
@@ -33,6 +35,7 @@ class Screen:
 
     def heading(self, number: int, text: str) -> None:
         """A step's line."""
+        self._teller.tell(text, number - 1, self._count)
         self.say(f"{number:>2}/{self._count} {text}")
 
     def say(self, text: str) -> None:

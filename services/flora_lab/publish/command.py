@@ -9,13 +9,14 @@ from typing import Annotated, Final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
 
 from flora_common.config import at_bus, checked_rig_name, load_rig
 from flora_common.controller_file import SUFFIX, load_controller
 from flora_common.deliver import NOBODY_AFTER_S, as_json, deliver, outcome, raise_unless_taken
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
 from flora_common.offering import Sending
+from flora_lab.bars import Bars
 
 SOURCE: Final = "flora-lab"
 
@@ -72,7 +73,7 @@ def publish(
 class _Bar:
     """Chunks that have arrived, then ticks of the shadow, on one line."""
 
-    def __init__(self, bars: Progress) -> None:
+    def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self._task = bars.add_task("asking", total=None, said="")
         self._shadow_ticks = 0
@@ -94,5 +95,5 @@ def _progress(*, silent: bool) -> Iterator[_Bar]:
     """A bar on a terminal; nothing elsewhere."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"))
-    with Progress(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+    with Bars(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
         yield _Bar(bars)

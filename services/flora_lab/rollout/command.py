@@ -11,9 +11,10 @@ from typing import Annotated, Final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_lab.bars import Bars
 from flora_lab.late import modules_of
 from flora_lab.made_folders import must_be_new
 from flora_lab.run_tracks import load_runs
@@ -102,7 +103,7 @@ def _progress(silent: bool) -> Iterator[Callable[[str, int], Callable[[], None]]
     """A bar for each stage on a terminal; nothing elsewhere."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+    with Bars(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
 
         def stage(name: str, total: int) -> Callable[[], None]:
             task = bars.add_task(name, total=total)

@@ -11,7 +11,7 @@ from flora_common.errors import BadInput
 from flora_common.messages import DiagnosisFound
 from flora_common.messages.catalogue import MOST_CAUSES, Verdict
 from flora_lab.serve import found, ledger
-from flora_lab.serve.diagnosing import Ended
+from flora_lab.serve.child import Ended
 from flora_lab.serve.ledger import Entry, Ledger
 
 DIAGNOSIS_FILE: Final = "diagnosis.json"

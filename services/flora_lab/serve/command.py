@@ -28,9 +28,9 @@ def serve(
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Say more.")] = False,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Only warnings and errors.")] = False,
 ) -> None:
-    """Run as a service: watch plants while they grow, and diagnose each run when it has ended.
+    """Run as a service: watch plants while they grow, diagnose each run when it has ended, take jobs from the bus.
 
-    What it watches stands in \\[lab] of the configuration file. SIGTERM ends it; nothing is lost.
+    What it watches, and where jobs work, stands in \\[lab] of the configuration file. SIGTERM ends it; nothing is lost.
     """
     if verbose and quiet:
         raise BadInput("give either --verbose or --quiet")

@@ -51,12 +51,15 @@ class LabSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     longest_s: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] = 3600.0
     """Real seconds after which a diagnosis is ended."""
 
+    jobs_dir: str = ""
+    """Folder in which jobs from the bus work, one at a time, and in no other; empty: none are taken."""
+
     rigs: Mapping[RigName, RunsSection] = {}
     """Rigs on this bus; none: the one of ``[rig]``."""
 
     @property
     def is_off(self) -> bool:
-        """Whether there is nothing to compare plants with."""
+        """Whether there is nothing to compare plants with. Jobs are taken all the same."""
         return not self.simulator and not self.reference
 
     def runs_dirs(self, rig: RigSection) -> dict[str, str]:

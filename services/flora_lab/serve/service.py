@@ -16,9 +16,11 @@ from flora_common.errors import BadInput, DiskFull, FloraError, StoreError
 from flora_common.messages import ControllerState, Frame, Lamps, Message, Recording, Stem
 from flora_common.runs import LampsSection, RunFolder
 from flora_common.service import run_service
+from flora_lab.jobs.runner import Runner
 from flora_lab.serve import diagnosing, looking_process
 from flora_lab.serve.casebook import Casebook
-from flora_lab.serve.diagnosing import Child, StillBusy
+from flora_lab.serve.child import Child
+from flora_lab.serve.diagnosing import StillBusy
 from flora_lab.serve.finished import Lasting, Patience, finished
 from flora_lab.serve.ledger import Entry
 from flora_lab.serve.looking_process import LookingProcess
@@ -91,7 +93,7 @@ class Service:
         files.make_folder(self._output)
         diagnosing.clear_left_over(self._output)
         self._patience = Patience(config.settled_s, config.settled_when_told_s)
-        self._casebook = Casebook(self._output, self._utc)
+        self._casebook = Casebook(self._output, _utc)
         self._rigs = [Rig(app, name, folder) for name, folder in config.runs_dirs(app.rig).items()]
         self._simulator = Path(config.simulator) if config.simulator else None
         self._process = LookingProcess(app)
@@ -101,10 +103,6 @@ class Service:
         app.every(looking_process.EVERY_S, self.look)
         app.on_ready(self.scan)
         app.on_exit(self.finish)
-
-    def _utc(self) -> str:
-        # The virtual box's time is another one, but the lab's records are of this world.
-        return datetime.fromtimestamp(time.time_ns() // NS, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
     # while runs last
 
@@ -263,6 +261,11 @@ class Service:
             self._app.log.problem("not_kept", str(problem))
 
 
+def _utc() -> str:
+    # The virtual box's time is another one, but the lab's records are of this world.
+    return datetime.fromtimestamp(time.time_ns() // NS, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
 def _name(entry: Entry) -> str:
     return f"{entry.rig}/{entry.run}"
 
@@ -270,6 +273,8 @@ def _name(entry: Entry) -> str:
 def build(app: App[LabSection]) -> None:
     """Hang the service on the app."""
     check(app.config)
+    if app.config.jobs_dir:
+        Runner(app, Path(app.config.jobs_dir), _utc)
     if app.config.is_off:
         app.state("ready", SWITCHED_OFF)
         return

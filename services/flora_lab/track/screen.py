@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from flora_lab.bars import Bars
 from flora_lab.track.learning import Learnt, Sorted
 from flora_lab.track.pictures import Wanted
 from flora_lab.track.readings import Summary
@@ -113,7 +114,7 @@ def progress(silent: bool) -> Iterator[Stage]:
     """A bar for the stage that the work is at, on a terminal; nothing elsewhere."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Speed(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+    with Bars(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
 
         def stage(name: str, total: int | None, done: int = 0) -> Callable[[], None]:
             for before in bars.task_ids:

@@ -12,9 +12,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
 
 from flora_common.errors import BadInput
+from flora_lab.bars import Bars
 from flora_lab.train.recipes import Progress
 
 

@@ -1,0 +1,44 @@
+"""What a lab may be asked to do: which subcommands, and with which arguments.
+
+Whoever reaches the bus may ask. So a job works in the folder of all jobs and in no other, reaches no other machine, and
+needs no key: nothing is signed and nothing published.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+from flora_common.errors import BadInput
+from flora_common.suggest import did_you_mean
+
+WORKS: Final = ("track", "report", "dataset", "train", "rollout", "evolve", "evaluate", "diagnose", "rhythm", "paper")
+GO_ON: Final = frozenset({"track", "train", "evolve"})
+"""Subcommands that go on where they were stopped when they are given :data:`RESUME`; others find that out themselves,
+or begin anew."""
+RESUME: Final = "--resume"
+KNOWN: Final = "known"
+"""Work of a message that only asks how a job is, or ends it."""
+_REFUSED: Final = ("--cluster",)
+_OPTION: Final = re.compile(r"^-{1,2}[A-Za-z][A-Za-z-]*=?")
+
+
+def check(work: str, arguments: Sequence[str]) -> None:
+    """Whether a lab does this.
+
+    Raises:
+        BadInput: it does not; one line that says why.
+    """
+    if work not in WORKS:
+        raise BadInput(f"`{work}` is no work for a lab{did_you_mean(work, WORKS)}; it does {', '.join(WORKS)}")
+    for argument in arguments:
+        if not argument.isprintable():
+            raise BadInput(f"argument {argument!r:.60}: has signs that cannot be printed")
+        option = _OPTION.match(argument)
+        named = option.group(0).rstrip("=") if option else ""
+        if named in _REFUSED:
+            raise BadInput(f"{named}: a job stays on the lab's own machine")
+        value = argument[option.end() :] if option else argument
+        if value.startswith(("/", "~", "\\")) or ".." in re.split(r"[/\\]", value):
+            raise BadInput(f"argument `{argument[:60]}`: name files relative to the folder of all jobs, and inside it")
