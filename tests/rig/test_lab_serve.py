@@ -57,7 +57,7 @@ class Lab:
         write_simulator(tmp_path / "base.simulator")
         bus.sections["lab"] = {
             "simulator": str(tmp_path / "base.simulator"),
-            "settled_s": 3.0,
+            "settled_s": 60.0,  # a slow start is no end of a run
             "settled_when_told_s": 0.5,
             "scan_every_s": 0.2,
             "rigs": {RIG: {}},
