@@ -4,6 +4,7 @@ import { pathOf, shape, tickText, ticks } from "./svg.js";
 const TIME = 0, LIGHT = 1, X = 3, Y = 4, FITNESS = 5;
 const EDGE = { left: 40, right: 18, top: 8, bottom: 20 };
 const MOST_DRAWN = 3000;
+let pointer = null; // where it is over a chart, so that a new row does not take its words away
 const GAP = 2.5; // beats without a photograph, and the line is broken
 
 function sized(svg) {
@@ -83,14 +84,15 @@ export function drawCourses(svgs, rows, view, told) {
     { of: (row) => row[Y], name: "up", unit: "cm", goal: view.target?.y_cm, least: [0, 5] },
     { of: (row) => (row[FITNESS] === null ? null : 100 * row[FITNESS]), name: "fitness", unit: "%", goal: null, least: [0, 100] },
   ];
-  told.textContent = "";
   const first = rows.length ? rows[0][TIME] / 3600 : 0;
   const last = Math.max(first + 0.5, rows.length ? rows.at(-1)[TIME] / 3600 : 0);
   svgs.forEach((svg, i) => drawCourse(svg, rows, view, kinds[i], first, last));
+  const show = () => pointer && pointAt(pointer, svgs, rows, kinds, first, last, told);
   for (const svg of svgs) {
-    svg.onpointermove = (event) => pointAt(event, svg, svgs, rows, kinds, first, last, told);
-    svg.onpointerleave = () => { told.textContent = ""; svgs.forEach((one) => one.querySelector(".cursor")?.remove()); };
+    svg.onpointermove = (event) => { pointer = { svg, x: event.clientX }; show(); };
+    svg.onpointerleave = () => { pointer = null; told.textContent = ""; svgs.forEach((one) => one.querySelector(".cursor")?.remove()); };
   }
+  show();
 }
 
 const across = (width, first, last) => (hour) => EDGE.left + ((hour - first) / (last - first)) * (width - EDGE.left - EDGE.right);
@@ -128,10 +130,10 @@ function bands(rows) {
   return found.filter(([light]) => light !== "dark");
 }
 
-function pointAt(event, svg, svgs, rows, kinds, first, last, told) {
+function pointAt(at, svgs, rows, kinds, first, last, told) {
   if (!rows.length) return;
-  const { left, width } = svg.getBoundingClientRect();
-  const hour = first + ((event.clientX - left - EDGE.left) / (width - EDGE.left - EDGE.right)) * (last - first);
+  const { left, width } = at.svg.getBoundingClientRect();
+  const hour = first + ((at.x - left - EDGE.left) / (width - EDGE.left - EDGE.right)) * (last - first);
   let low = 0, high = rows.length - 1;
   while (low < high) {
     const middle = (low + high) >> 1;

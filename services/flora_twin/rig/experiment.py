@@ -169,6 +169,9 @@ def _free_port() -> int:
     """The usual port of the page, or any where somebody else has it: several demos may run on one machine."""
     for port in (DASHBOARD_PORT, 0):
         with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.setsockopt(
+                socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+            )  # as the page's own: who has just left is no bar
             probe.bind(("127.0.0.1", port))
             return int(probe.getsockname()[1])
     raise ServiceFailed("no port of 127.0.0.1 is free for the page; --no-dashboard does without")
