@@ -47,8 +47,11 @@ def concerns(
         interval_s: between two beats.
         is_connected: the bus answers.
     """
-    found = [*_of_services(services, is_connected=is_connected), *_of_tick(inbox, interval_s)]
-    found += [*_of_pictures(inbox), *_of_light(inbox), *_of_plant(inbox), *_of_lab(inbox, run)]
+    lines = tuple(services)
+    # A service that is not well says itself what is wrong: the same trouble is told once.
+    told = frozenset(line.service for line in lines if not line.ok)
+    found = [*_of_services(lines, is_connected=is_connected), *_of_tick(inbox, interval_s)]
+    found += [*_of_pictures(inbox, told), *_of_light(inbox, told), *_of_plant(inbox), *_of_lab(inbox, run)]
     return sorted(found, key=lambda concern: LEVELS.index(concern.level))
 
 
@@ -73,9 +76,10 @@ def _of_tick(inbox: Freshness, interval_s: float) -> Iterator[Concern]:
         yield Concern("problem", f"No beat for {_span(age_s)}; one is due every {_span(interval_s)}.")
 
 
-def _of_pictures(inbox: Freshness) -> Iterator[Concern]:
+def _of_pictures(inbox: Freshness, told: frozenset[str]) -> Iterator[Concern]:
     frame, missed, stem, stored = inbox.last(Frame), inbox.last(FrameMissed), inbox.last(Stem), inbox.last(Stored)
-    if missed is not None and (frame is None or missed.tick > frame.tick):
+    is_missed = missed is not None and (frame is None or missed.tick > frame.tick)
+    if missed is not None and is_missed and "flora-capture" not in told:
         yield Concern("problem", f"No photograph at tick {missed.tick} ({_plain(missed.because)}): {missed.reason}")
     if frame is not None and not frame.exposure_ok:
         yield Concern("problem", f"The last photograph was not exposed as it should be: {frame.exposure_note}")
@@ -83,19 +87,22 @@ def _of_pictures(inbox: Freshness) -> Iterator[Concern]:
         yield Concern("problem", "The last photograph was taken without a confirmed flash.")
     if stem is not None and stem.outcome not in ("ok", "no_frame"):
         yield Concern("notice", f"The stem is not sure in the last photograph ({_plain(stem.outcome)}): {stem.reason}")
-    if stored is not None and stored.stage == "refused":
+    if stored is not None and stored.stage == "refused" and "flora-uploader" not in told:
         yield Concern("problem", f"{stored.path} was refused by the NAS: {stored.reason}")
 
 
-def _of_light(inbox: Freshness) -> Iterator[Concern]:
+def _of_light(inbox: Freshness, told: frozenset[str]) -> Iterator[Concern]:
     lamps, light, state = inbox.last(Lamps), inbox.last(LightCommand), inbox.last(ControllerState)
-    if lamps is not None and lamps.fallback:
-        yield Concern("problem", f"Nobody commands the lamps; by the fallback, {_lamp(lamps.lit)} shines.")
-    elif lamps is not None and lamps.lit != lamps.commanded:
-        yield Concern("problem", f"{_lamp(lamps.commanded)} is commanded, {_lamp(lamps.lit)} shines. {lamps.reason}")
-    if light is not None and light.blind:
-        ticks = "" if state is None else f" for {state.blind_ticks} ticks"
-        yield Concern("problem", f"The controller has been blind{ticks}. {light.reason}".rstrip())
+    if lamps is not None and "flora-led" not in told:
+        if lamps.fallback:
+            yield Concern("problem", f"Nobody commands the lamps; by the fallback, {_lamp(lamps.lit)} shines.")
+        elif lamps.lit != lamps.commanded:
+            yield Concern(
+                "problem",
+                f"{_lamp(lamps.commanded).capitalize()} is commanded, {_lamp(lamps.lit)} shines. {lamps.reason}".rstrip(),
+            )
+    if light is not None and light.blind and "flora-controller" not in told:
+        yield Concern("problem", f"The controller decides without a stem. {light.reason}".rstrip())
     if state is not None and state.shadow:
         yield Concern("notice", f"{state.shadow} runs in shadow, {state.shadow_ticks_left} ticks to go.")
 

@@ -247,7 +247,7 @@ def test_where_all_is_well_nothing_is() -> None:
         (Stored(stage="refused", path="a.jpg", reason="torn"), "problem", "a.jpg was refused by the NAS: torn"),
         (Lamps(lit="left", commanded="dark", fallback=True), "problem", "by the fallback, the left lamp shines"),
         (Lamps(lit="dark", commanded="right"), "problem", "the right lamp is commanded, no lamp shines"),
-        (LightCommand(light="left", blind=True, reason="no stem"), "problem", "blind"),
+        (LightCommand(light="left", blind=True, reason="no stem"), "problem", "without a stem. no stem"),
         (ControllerState(controller="a", collided=True, collided_at_s=7200.0), "problem", "obstacle at hour 2.0"),
         (ControllerState(controller="a", target_reached=True, best_fitness=0.987), "good", "Best fitness 98.7 %"),
         (ControllerState(controller="a", run_over=True, reason="21 cm high"), "notice", "over: 21 cm high"),
@@ -276,6 +276,23 @@ def test_what_is_of_another_run_or_is_over_is_not_told() -> None:
         frame(4), stem(4), Departure(run="bean-00", is_departed=True), Departure(run="bean-01", is_departed=False)
     )
     assert shown.all_ready().view().concerns == []
+
+
+def test_what_a_service_says_itself_is_told_once() -> None:
+    shown = Shown().hear(Tick(tick=5, time_s=1500.0), frame(4), stem(5, outcome="no_frame", points_cm=())).all_ready()
+    shown.hear(
+        FrameMissed(tick=5, time_s=1500.0, because="camera_hung", reason="no answer"),
+        LightCommand(light="left", blind=True),
+        Lamps(lit="left", commanded="dark", fallback=True),
+        Stored(stage="refused", path="a.jpg"),
+    )
+    assert len(shown.texts("problem")) == 4
+    for name in ("flora-capture", "flora-controller", "flora-led", "flora-uploader"):
+        shown.hear(Health(source=name, state="degraded", reason="its own words"))
+    assert shown.texts("problem") == [
+        f"{name} is degraded: its own words"
+        for name in ("flora-capture", "flora-controller", "flora-led", "flora-uploader")
+    ]
 
 
 def test_silence_is_told() -> None:

@@ -58,7 +58,8 @@ function showPicture() {
     const lamp = { left: "left lamp", right: "right lamp", both: "both lamps", dark: "no lamp" }[frame.light];
     told.push(`tick ${frame.tick}, hour ${hours(frame.time_s)}, ${lamp}`);
   }
-  if (stem) {
+  if (stem && stem.outcome === "no_frame") told.push("no photograph has come since");
+  else if (stem) {
     const doubt = stem.uncertainty_mm.length ? ` ± ${stem.uncertainty_mm.at(-1).toFixed(1)} mm` : "";
     const tip = stem.points_cm.length ? `, tip (${stem.points_cm.at(-1).map((v) => v.toFixed(2)).join(", ")}) cm${doubt}` : "";
     const which = view.is_measured ? "stem" : "stem of an earlier photograph";
