@@ -97,10 +97,8 @@ def _of_light(inbox: Freshness, told: frozenset[str]) -> Iterator[Concern]:
         if lamps.fallback:
             yield Concern("problem", f"Nobody commands the lamps; by the fallback, {_lamp(lamps.lit)} shines.")
         elif lamps.lit != lamps.commanded:
-            yield Concern(
-                "problem",
-                f"{_lamp(lamps.commanded).capitalize()} is commanded, {_lamp(lamps.lit)} shines. {lamps.reason}".rstrip(),
-            )
+            wanted, lit = _lamp(lamps.commanded).capitalize(), _lamp(lamps.lit)
+            yield Concern("problem", f"{wanted} is commanded, {lit} shines. {lamps.reason}".rstrip())
     if light is not None and light.blind and "flora-controller" not in told:
         yield Concern("problem", f"The controller decides without a stem. {light.reason}".rstrip())
     if state is not None and state.shadow:
