@@ -29,6 +29,7 @@ def test_the_demo_ends_with_a_result_to_look_at(tmp_path: Path, capsys: pytest.C
     assert len(run.background_pictures()) == 8
     assert f"{len(frames) + 8} announced, 0 missing, 0 torn, {len(frames) + 8} at the NAS" in said.replace("\n", " ")
     assert "flora-led 1" in said
+    assert "url=http://127.0.0.1:" in (out / "rig" / "logs" / "flora-dashboard.log").read_text()
     assert (out / "report.html").read_text().startswith("<!doctype html>")
     assert cv2.imread(str(out / "strip.png")) is not None
     assert [file.suffix for file in sorted(run.bus.iterdir())] == [".mcap"]
