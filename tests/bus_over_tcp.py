@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import select
 import shutil
 import socket
 import subprocess
+import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from flora_common.bus import BusAddress, BusClient
 from flora_common.bus_keys import BUS, CLIENT, ClientKeys, client_keys, make_authorized, make_pair
@@ -76,3 +79,58 @@ class NetworkBus:
             f'bus_publish = "{self.address.publish}"\nbus_subscribe = "{self.address.subscribe}"\n{with_keys}'
         )
         return path
+
+
+class Line:
+    """A network cable to a port of this machine, which can go dead: nothing comes through, and nobody hangs up."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._door = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp://127.0.0.1:{self._door.getsockname()[1]}"
+        self._other: dict[socket.socket, socket.socket] = {}
+        self._dead: list[socket.socket] = []
+        self._is_to_die = threading.Event()
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._carry)
+
+    def go_dead(self) -> None:
+        """The connections that there are; later ones are alive."""
+        self._is_to_die.set()
+        while self._is_to_die.is_set():
+            self._is_over.wait(0.01)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+        for each in (self._door, *self._other, *self._dead):
+            each.close()
+
+    def _carry(self) -> None:
+        while not self._is_over.is_set():
+            if self._is_to_die.is_set():
+                self._dead += self._other
+                self._other.clear()
+                self._is_to_die.clear()
+            for ready in select.select([self._door, *self._other], [], [], 0.02)[0]:
+                if ready is self._door:
+                    near = self._door.accept()[0]
+                    far = socket.create_connection(("127.0.0.1", self._port))
+                    self._other |= {near: far, far: near}
+                elif ready in self._other:
+                    self._pass_on(ready)
+
+    def _pass_on(self, ready: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            data = ready.recv(65536)
+            if data:
+                self._other[ready].sendall(data)
+                return
+        other = self._other.pop(ready)
+        self._other.pop(other, None)
+        ready.close()
+        other.close()

@@ -20,7 +20,7 @@ from typing import Any, Final, Literal, TypeVar, cast
 import msgspec
 import zmq
 
-from flora_common.bus_connection import Handshakes, prepare_to_connect
+from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
 from flora_common.bus_keys import ClientKeys
 from flora_common.clock import NS, Clock
 from flora_common.errors import BadMessage
@@ -213,6 +213,9 @@ class BusClient:
         rig: first part of the topics that it publishes.
         source: its name in the envelope.
         clock: rig time, put on what is sent and moved on by what is heard.
+
+    Raises:
+        ConfigError: no bus can be at such an endpoint.
     """
 
     def __init__(
@@ -246,7 +249,7 @@ class BusClient:
         )
         # A reconnect keeps the old subscriptions alive on our side: without this the new bus would not be noticed.
         self.publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self.publisher.connect(address.publish)
+        connect(self.publisher, address.publish)
         self._address = address
         self._subscribed: list[bytes] = []
 
@@ -262,7 +265,7 @@ class BusClient:
         """Open the subscriptions. Our own name comes last: its echo proves that all before it are in force."""
         for prefix in [*self._subscribed, self._hello]:
             self.subscriber.setsockopt(zmq.SUBSCRIBE, prefix)
-        self.subscriber.connect(self._address.subscribe)
+        connect(self.subscriber, self._address.subscribe)
 
     @property
     def connected(self) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, Final
 import zmq
 
 from flora_common.bus_keys import AUTHORIZED, ClientKeys, is_tcp, protect_client
+from flora_common.errors import ConfigError
 
 FAR_RECONNECT_MS: Final = 250
 """Over TCP: whoever is turned away at each try must not keep the bus busy."""
@@ -52,6 +53,20 @@ def prepare_to_connect(socket: zmq.Socket[bytes], endpoint: str, keys: ClientKey
     socket.setsockopt(zmq.HEARTBEAT_TTL, 3 * HEARTBEAT_MS)
     if keys is not None:
         protect_client(socket, keys)
+
+
+def connect(socket: zmq.Socket[bytes], endpoint: str) -> None:
+    """Look for the bus from now on, whether it is there or not.
+
+    Raises:
+        ConfigError: no bus can be there, such as at a ``tcp://`` without a port.
+    """
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as problem:
+        raise ConfigError(
+            f"{endpoint}: nothing can be looked for there ({zmq.strerror(problem.errno or 0)}); tcp://HOST:PORT or ipc:///FILE"
+        ) from problem
 
 
 class _Watched:

@@ -40,6 +40,7 @@ LARGEST_KEY_FILE: Final = 10_000
 _HALF: Final = r'^[ \t]*{}[ \t]*=[ \t]*["\']([^"\'\n]*)["\'][ \t]*$'
 _PUBLIC: Final = re.compile(_HALF.format("public-key"), re.MULTILINE)
 _SECRET: Final = re.compile(_HALF.format("secret-key"), re.MULTILINE)
+_WITH_PORT: Final = re.compile(r":(\d+|\*)$")
 _LOOPBACK: Final = re.compile(r"tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):(\d+|\*)")
 
 
@@ -82,10 +83,12 @@ def check_reach(key: str, endpoint: str, *, bus_keys: str, bus_open: bool) -> No
         bus_open: whoever configured it trusts everyone who reaches the port.
 
     Raises:
-        ConfigError: other machines reach it, there are no keys, and nobody has said that this is meant.
+        ConfigError: it has no port; other machines reach it, there are no keys, and nobody has said that this is meant.
     """
     if bus_keys and bus_open:
         raise ConfigError("bus_keys and bus_open contradict each other: leave one of them out")
+    if is_tcp(endpoint) and not _WITH_PORT.search(endpoint):
+        raise ConfigError(f"{key} is {endpoint}, without a port: tcp://HOST:PORT")
     if is_tcp(endpoint) and not is_loopback(endpoint) and not bus_keys and not bus_open:
         raise ConfigError(
             f"{key} is {endpoint}, which other machines reach, and bus_keys names no keys; make some "

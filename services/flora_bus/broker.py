@@ -169,7 +169,7 @@ def _bind(socket: zmq.Socket[bytes], endpoints: list[str], guard: Guard | None) 
         try:
             socket.bind(endpoint)
         except zmq.ZMQError as problem:
-            raise zmq.ZMQError(problem.errno, f"{endpoint}: {problem.strerror}") from problem
+            raise zmq.ZMQError(problem.errno, f"{endpoint}: {zmq.strerror(problem.errno or 0)}") from problem
 
 
 def well_formed(parts: list[bytes]) -> bool:

@@ -94,6 +94,8 @@ def build(app: App[BusSection]) -> None:
         broker = Broker(rig.bus, network=network, guard=guard)
     except zmq.ZMQError as problem:
         raise BusUnreachable(f"cannot listen at {problem.strerror}") from problem
+    if network is not None:
+        app.log.event("network", publish=network.publish, subscribe=network.subscribe, asks_for_keys=guard is not None)
     if guard is not None:
         _set_up(app, guard)
     seen = BrokerCounters()

@@ -12,7 +12,7 @@ import msgspec
 import zmq
 
 from flora_common.bus import BusAddress, SequenceCheck, bound
-from flora_common.bus_connection import Handshakes, prepare_to_connect
+from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
 from flora_common.clock import NS, unix_seconds
 from flora_common.errors import BadMessage, BusUnreachable
 from flora_common.messages import decode, split_topic
@@ -54,7 +54,7 @@ class Player:
         bound(self._socket, linger_ms=FLUSH_TIMEOUT_MS)
         prepare_to_connect(self._socket, address.publish, address.keys)
         handshakes = Handshakes([(self._socket, address.publish)], address.keys)
-        self._socket.connect(address.publish)
+        connect(self._socket, address.publish)
         is_there = bool(self._socket.poll(round(BUS_TIMEOUT_S * 1000)))
         handshakes.tend()
         handshakes.close()

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import zmq
 
-from bus_over_tcp import NetworkBus
-from flora_common.bus import BusClient
+from bus_over_tcp import Line, NetworkBus
+from flora_common.bus import BusAddress, BusClient
 from flora_common.bus_keys import CLIENT, ClientKeys, KeyPair, client_keys, make_pair
 from flora_common.messages import Health, Tick
 
@@ -143,7 +143,7 @@ def test_all_find_the_bus_again_after_it_was_killed(net: NetworkBus) -> None:
 
 
 def said_to(port: int, garbage: bytes) -> socket.socket:
-    """A connection over which this was said, as ZeroMQ does it: the rest when the other side has greeted, if it does."""
+    """A connection over which this was said, as ZeroMQ does it: the rest when the other side has greeted, if it has."""
     connection = socket.create_connection(("127.0.0.1", port), timeout=0.1)
     with contextlib.suppress(OSError):  # it has hung up already
         connection.sendall(garbage[:64])
@@ -151,6 +151,23 @@ def said_to(port: int, garbage: bytes) -> socket.socket:
             connection.recv(64)
         connection.sendall(garbage[64:])
     return connection
+
+
+def test_a_line_that_goes_dead_without_a_word_is_tried_anew(net: NetworkBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flora_common.bus_connection.HEARTBEAT_MS", 200)
+    net.start()
+    near = net.bus.client("flora-flash")
+    with Line(net.ports[0]) as publish, Line(net.ports[1]) as subscribe:
+        net.address = BusAddress(publish.endpoint, subscribe.endpoint)
+        far = net.client(net.keys_of("lab"))
+        net.bus.hear(far, lambda _: far.connected)
+        publish.go_dead()
+        subscribe.go_dead()
+        near.publish(Tick(tick=1, time_s=0.0))
+        net.bus.hear(far, lambda heard: 1 in ticks(heard))  # by a new line, on which the bus says what it has kept
+        net.bus.hear(near, lambda heard: 1 in ticks(heard))
+        far.publish(Tick(tick=2, time_s=0.0))
+        net.bus.hear(near, lambda heard: 2 in ticks(heard))
 
 
 GREETING = b"\xff" + b"\0" * 8 + b"\x7f"
