@@ -22,6 +22,7 @@ ASKED_AT: Final = "inproc://zeromq.zap.01"
 """Where libzmq asks, one place for a context."""
 
 VERSION: Final = b"1.0"
+KEY_BYTES: Final = 32
 DOMAIN: Final = b"flora-bus"
 QUESTION_PARTS: Final = 9
 """Who asks, a blank, version, number of the question, domain, address, identity, mechanism, key."""
@@ -93,7 +94,8 @@ class Guard:
         if not is_admitted:
             self.refused.count += 1
             self.refused.address = parts[5].decode("utf-8", "replace") if len(parts) > 5 else ""
-            self.refused.key = z85.encode(parts[8]).decode("ascii") if len(parts) == QUESTION_PARTS else ""
+            has_key = len(parts) == QUESTION_PARTS and len(parts[8]) == KEY_BYTES
+            self.refused.key = z85.encode(parts[8]).decode("ascii") if has_key else ""
         code, text = (b"200", b"OK") if is_admitted else (b"400", b"unknown key")
         send_frames(self.questions, [parts[0], b"", VERSION, parts[3], code, text, b"", b""])
 

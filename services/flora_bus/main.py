@@ -13,7 +13,7 @@ from flora_bus.broker import Broker, BrokerCounters
 from flora_bus.guard import Guard
 from flora_common.app import App
 from flora_common.bus import BusAddress
-from flora_common.bus_keys import BUS, CLIENT, check_reach, is_tcp, make_authorized, make_pair
+from flora_common.bus_keys import AUTHORIZED, BUS, CLIENT, check_reach, is_tcp, make_authorized, make_pair
 from flora_common.config import RigSection
 from flora_common.errors import BusUnreachable, ConfigError
 from flora_common.files import make_folder
@@ -124,14 +124,12 @@ def build(app: App[BusSection]) -> None:
 
 
 def _set_up(app: App[BusSection], guard: Guard) -> None:
-    told = 0
-
     def report() -> None:
-        nonlocal told
         refused = guard.refused
-        if refused.count != told:
-            new, told = refused.count - told, refused.count
-            app.log.warning("unknown_keys", new=new, all=told, last_from=refused.address, last_key=refused.key)
+        if refused.count:
+            reason = f"{refused.address} came with {refused.key}, which is not in {AUTHORIZED}/"
+            # A machine that is not known yet tries every two seconds, perhaps for days: told every ten minutes.
+            app.log.problem("unknown_key", f"{reason}; {refused.count} times refused so far", kind=refused.key)
 
     app.on_readable(guard.questions, guard.answer)
     app.on_exit(guard.close)

@@ -201,3 +201,11 @@ def test_keys_are_read_only_where_they_are_asked_for(tmp_path: Path) -> None:
     assert RigSection(bus_keys=str(tmp_path)).bus.keys is None
     with pytest.raises(ConfigError, match=r"client\.key: is not there"):
         _ = RigSection(bus_keys=str(tmp_path), bus_subscribe="tcp://127.0.0.1:5572").bus
+
+
+def test_a_zeromq_without_curve_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zmq, "has", lambda _: False)
+    with pytest.raises(ConfigError, match="this ZeroMQ was built without CURVE"):
+        client_keys(tmp_path)
+    with pytest.raises(ConfigError, match="this ZeroMQ was built without CURVE"):
+        make_pair(tmp_path, BUS)
