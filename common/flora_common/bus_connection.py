@@ -105,14 +105,17 @@ class _Watched:
             if self._silences >= SILENT_TIMES:
                 self.problem = f"what listens at {self._endpoint} breaks off: {self._why_silent()}"
         else:
-            self._retry_at_s = now_s + RETRY_S
+            self._retry_at_s, self._silences = now_s + RETRY_S, 0
             is_unknown = event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
             why = f"put its client.pub into {AUTHORIZED}/ there" if is_unknown else self._why_unlike()
             whom = "does not know this machine" if is_unknown else "speaks otherwise"
             self.problem = f"the bus at {self._endpoint} {whom}: {why}"
 
     def _why_silent(self) -> str:
-        return "its key is not that of bus.pub here, or it is no flora-bus" if self._has_keys else "is it a flora-bus?"
+        # Who wants other keys may have hung up before we read what it wants.
+        if self._has_keys:
+            return "its key is not that of bus.pub here, or it has none, or it is no flora-bus"
+        return "it has keys, and [rig] bus_keys is not set here, or it is no flora-bus"
 
     def _why_unlike(self) -> str:
         if self._has_keys:
