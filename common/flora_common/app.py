@@ -24,6 +24,7 @@ import msgspec
 import zmq
 
 from flora_common.bus import Arrival, BusClient, Freshness
+from flora_common.bus_connection import RETRY_S
 from flora_common.clock import Clock
 from flora_common.config import RigSection, config_text
 from flora_common.errors import BadInput, FloraError
@@ -91,7 +92,7 @@ class App(Generic[S]):
         self._started_s = time.monotonic()
         self._slowest_s = 0.0
         self._alive_s = 0.0
-        self.on_readable(self.bus.publisher, self.bus.handle_publisher)
+        self.attend(self.bus, self._notice_bus)
         self.on_readable(self.bus.subscriber, self._receive)
 
     def _tick_s(self) -> float:
@@ -122,6 +123,14 @@ class App(Generic[S]):
         """Undo :meth:`on_readable`."""
         if self._readable.pop(source, None) is not None:
             self._poller.unregister(source)
+
+    def attend(self, bus: BusClient, handler: Callable[[], None]) -> None:
+        """Call ``handler``, which calls ``bus.handle_publisher``, whenever that is to be called."""
+        self.on_readable(bus.publisher, handler)
+        for monitor in bus.monitors:
+            self.on_readable(monitor, handler)
+        if bus.monitors:
+            self.every(RETRY_S, handler)
 
     def after(self, real_s: float, call: Callable[[], None]) -> Timer:
         """Call once after real seconds."""
@@ -248,6 +257,10 @@ class App(Generic[S]):
         else:
             if key in self._troubles:
                 self.trouble(key, "")
+
+    def _notice_bus(self) -> None:
+        self.bus.handle_publisher()
+        self.trouble("bus", self.bus.refusal)
 
     def _receive(self) -> None:
         # Each handler is guarded by itself: one that fails must not take the rest of what has arrived with it.

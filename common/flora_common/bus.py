@@ -20,6 +20,8 @@ from typing import Any, Final, Literal, TypeVar, cast
 import msgspec
 import zmq
 
+from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
+from flora_common.bus_keys import ClientKeys
 from flora_common.clock import NS, Clock
 from flora_common.errors import BadMessage
 from flora_common.messages.envelope import CATALOGUE, Message, Period, spec_of
@@ -183,10 +185,17 @@ def late_after_s(period: Period, tick_s: float) -> float | None:
 
 @dataclass(slots=True)
 class BusAddress:
-    """Where the bus listens: services publish to one endpoint and subscribe at the other."""
+    """Where the bus listens: services publish to one endpoint and subscribe at the other.
+
+    Attributes:
+        publish: where the bus hears.
+        subscribe: where it says.
+        keys: what a participant shows at those that are ``tcp://``; None for nothing.
+    """
 
     publish: str
     subscribe: str
+    keys: ClientKeys | None = None
 
 
 @dataclass(slots=True)
@@ -204,6 +213,9 @@ class BusClient:
         rig: first part of the topics that it publishes.
         source: its name in the envelope.
         clock: rig time, put on what is sent and moved on by what is heard.
+
+    Raises:
+        ConfigError: no bus can be at such an endpoint.
     """
 
     def __init__(
@@ -230,11 +242,14 @@ class BusClient:
         self.subscriber = context.socket(zmq.SUB)
         for socket in (self.publisher, self.subscriber):
             bound(socket, linger_ms=500)
-            socket.setsockopt(zmq.RECONNECT_IVL, 20)
-            socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
+        prepare_to_connect(self.publisher, address.publish, address.keys)
+        prepare_to_connect(self.subscriber, address.subscribe, address.keys)
+        self._handshakes = Handshakes(
+            [(self.publisher, address.publish), (self.subscriber, address.subscribe)], address.keys
+        )
         # A reconnect keeps the old subscriptions alive on our side: without this the new bus would not be noticed.
         self.publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self.publisher.connect(address.publish)
+        connect(self.publisher, address.publish)
         self._address = address
         self._subscribed: list[bytes] = []
 
@@ -250,12 +265,22 @@ class BusClient:
         """Open the subscriptions. Our own name comes last: its echo proves that all before it are in force."""
         for prefix in [*self._subscribed, self._hello]:
             self.subscriber.setsockopt(zmq.SUBSCRIBE, prefix)
-        self.subscriber.connect(self._address.subscribe)
+        connect(self.subscriber, self._address.subscribe)
 
     @property
     def connected(self) -> bool:
         """The bus takes what we say, and has answered our subscriptions."""
         return self._bus_listens and self._bus_answered
+
+    @property
+    def monitors(self) -> list[zmq.Socket[Any]]:
+        """Further sockets to call :meth:`handle_publisher` for; none where the bus is within this machine."""
+        return self._handshakes.monitors
+
+    @property
+    def refusal(self) -> str:
+        """Why a bus over TCP does not let us in, in a sentence; empty where it does, or where nobody is there."""
+        return self._handshakes.problem
 
     def publish(self, message: Message) -> None:
         """Fill in the envelope, pack, and only then send: a message that cannot be packed leaves no half behind."""
@@ -290,7 +315,11 @@ class BusClient:
             self.counters.dropped += 1
 
     def handle_publisher(self) -> None:
-        """Take notice of the bus coming or going; call when ``publisher`` is readable."""
+        """Take notice of the bus coming, going or refusing us; call when ``publisher`` is readable.
+
+        Where there are ``monitors``, also when one of them is, and now and then: it tries again after a refusal.
+        """
+        self._handshakes.tend()
         while True:
             try:
                 event = self.publisher.recv(zmq.DONTWAIT)
@@ -343,6 +372,7 @@ class BusClient:
 
     def close(self) -> None:
         """Send what is left, for half a second at most, and close."""
+        self._handshakes.close()
         self.publisher.close()
         self.subscriber.close()
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import msgspec
 
 from flora_common.bus import BusAddress
+from flora_common.bus_keys import check_reach, client_keys, is_tcp
 from flora_common.errors import BadInput, ConfigError
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
@@ -69,6 +70,12 @@ class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bus_subscribe: Endpoint = "ipc:///run/flora/bus-subscribe"
     """Where flora-bus says: all subscribe there; another endpoint than ``bus_publish``."""
 
+    bus_keys: str = ""
+    """Folder of the keys that a bus over ``tcp://`` asks for; empty for none."""
+
+    bus_open: bool = False
+    """A bus that other machines reach may do without keys: everyone on the network can then light the lamps."""
+
     health_every_s: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 10.0
     """Real seconds between two ``health`` messages of a service."""
 
@@ -76,7 +83,22 @@ class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def bus(self) -> BusAddress:
-        return BusAddress(self.bus_publish, self.bus_subscribe)
+        """Where the bus is, with this machine's keys where it is over TCP and has some: the files are read each time.
+
+        Raises:
+            ConfigError: the keys cannot be used.
+        """
+        is_asked = self.bus_keys and (is_tcp(self.bus_publish) or is_tcp(self.bus_subscribe))
+        return BusAddress(self.bus_publish, self.bus_subscribe, client_keys(Path(self.bus_keys)) if is_asked else None)
+
+    def check_bus(self) -> None:
+        """Whether the bus may be where the section says; reads no file.
+
+        Raises:
+            ConfigError: it would be open to other machines, and nobody has said that this is meant.
+        """
+        for key, endpoint in (("bus_publish", self.bus_publish), ("bus_subscribe", self.bus_subscribe)):
+            check_reach(key, endpoint, bus_keys=self.bus_keys, bus_open=self.bus_open)
 
     def named(self, name: str) -> RigSection:
         """Another rig on the same bus."""
@@ -111,12 +133,13 @@ def at_bus(rig: RigSection, *, publish: str | None, subscribe: str | None) -> Ri
     """The same rig with its bus elsewhere, as the options ``--publish`` and ``--subscribe`` say; None changes nothing.
 
     Raises:
-        ConfigError: not an endpoint.
+        ConfigError: not an endpoint, or one that other machines reach, without keys.
     """
     for flag, key, value in (("--publish", "bus_publish", publish), ("--subscribe", "bus_subscribe", subscribe)):
         if value is not None:
             convert({key: value}, RigSection, where=flag, error=ConfigError)
             rig = msgspec.structs.replace(rig, **{key: value})
+    rig.check_bus()
     return rig
 
 
@@ -148,7 +171,12 @@ def _tables(path: Path | None) -> tuple[Path, dict[str, Any]]:
 
 
 def _rig(path: Path, tables: dict[str, Any]) -> RigSection:
-    return convert(tables.get("rig", {}), RigSection, where=f"{path} [rig]", error=ConfigError)
+    rig = convert(tables.get("rig", {}), RigSection, where=f"{path} [rig]", error=ConfigError)
+    try:
+        rig.check_bus()
+    except ConfigError as problem:
+        raise ConfigError(f"{path} [rig]: {problem}") from problem
+    return rig
 
 
 def config_text(rig: RigSection, section: str, own: msgspec.Struct) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Final
 import msgspec
 import zmq
 
+from flora_bus.guard import Guard
 from flora_common.bus import (
     HELLO_PREFIX,
     BusAddress,
@@ -20,6 +21,7 @@ from flora_common.bus import (
     receive_frames,
     send_frames,
 )
+from flora_common.bus_keys import is_tcp
 from flora_common.messages import MAX_PAYLOAD_BYTES
 from flora_common.messages.wire import MAX_TOPIC_BYTES, TOPIC_PATTERN
 
@@ -87,9 +89,18 @@ class Broker:
 
     Args:
         address: endpoints to bind: services publish to the first and subscribe at the second.
+        network: further ones, for other machines.
+        guard: asks for keys at all that are over TCP; None lets everyone in.
     """
 
-    def __init__(self, address: BusAddress, *, context: zmq.Context[Any] | None = None) -> None:
+    def __init__(
+        self,
+        address: BusAddress,
+        *,
+        network: BusAddress | None = None,
+        guard: Guard | None = None,
+        context: zmq.Context[Any] | None = None,
+    ) -> None:
         context = context or zmq.Context.instance()
         self.counters = BrokerCounters()
         self._values = LastValues()
@@ -99,8 +110,13 @@ class Broker:
             bound(socket, linger_ms=0)
         # Repeated subscriptions are told as well: each late joiner gets its last values.
         self.outgoing.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self.incoming.bind(address.publish)
-        self.outgoing.bind(address.subscribe)
+        addresses = [address] if network is None else [address, network]
+        try:
+            _bind(self.incoming, [each.publish for each in addresses], guard)
+            _bind(self.outgoing, [each.subscribe for each in addresses], guard)
+        except zmq.ZMQError:
+            self.close()
+            raise
         self.incoming.send(SUBSCRIBE)
 
     def pass_on(self) -> None:
@@ -137,6 +153,23 @@ class Broker:
     def close(self) -> None:
         self.incoming.close()
         self.outgoing.close()
+
+
+def _bind(socket: zmq.Socket[bytes], endpoints: list[str], guard: Guard | None) -> None:
+    """Those within this machine first: what a socket is told of keys holds for what it binds to afterwards.
+
+    Raises:
+        zmq.ZMQError: an endpoint is taken, or none.
+    """
+    for endpoint in sorted(endpoints, key=is_tcp):
+        if is_tcp(endpoint):
+            socket.setsockopt(zmq.IPV6, int("[" in endpoint))
+            if guard is not None:
+                guard.protect(socket)
+        try:
+            socket.bind(endpoint)
+        except zmq.ZMQError as problem:
+            raise zmq.ZMQError(problem.errno, f"{endpoint}: {zmq.strerror(problem.errno or 0)}") from problem
 
 
 def well_formed(parts: list[bytes]) -> bool:

@@ -4,20 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import zmq
 
 from flora_bus.broker import Broker, BrokerCounters
+from flora_bus.guard import Guard
 from flora_common.app import App
+from flora_common.bus import BusAddress
+from flora_common.bus_keys import AUTHORIZED, BUS, CLIENT, check_reach, is_tcp, make_authorized, make_pair
+from flora_common.config import RigSection
 from flora_common.errors import BusUnreachable, ConfigError
 from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
-from flora_common.service import run_service
+from flora_common.service import Action, run_service
+
+NetworkEndpoint = Annotated[str, msgspec.Meta(pattern=r"^(tcp://.+)?$(?!\n)", max_length=256)]
 
 
 class BusSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[bus]``: nothing to set; the endpoints are in ``[rig]``, because all services need them."""
+    """``[bus]``: where other machines find the bus; where the rig's own services do stands in ``[rig]``."""
+
+    network_publish: NetworkEndpoint = ""
+    """Where it also hears, such as ``tcp://*:5571``: other machines, with keys (``bus_keys``); empty for nowhere."""
+
+    network_subscribe: NetworkEndpoint = ""
+    """Where it also says, such as ``tcp://*:5572``; to be given together with the other."""
 
 
 def hold_socket(endpoint: str) -> None:
@@ -43,17 +56,48 @@ def hold_socket(endpoint: str) -> None:
         raise ConfigError(f"{endpoint}: the socket's folder cannot be written ({problem.strerror})") from problem
 
 
+def network_of(rig: RigSection, config: BusSection) -> BusAddress | None:
+    """Where other machines find the bus; None for nowhere.
+
+    Raises:
+        ConfigError: half of it, twice the same, or open to everyone without anybody having said so.
+    """
+    publish, subscribe = config.network_publish, config.network_subscribe
+    if not publish and not subscribe:
+        return None
+    if not publish or not subscribe or publish == subscribe:
+        raise ConfigError("[bus] network_publish and network_subscribe: give both, with ports of their own, or neither")
+    for key, endpoint in (("network_publish", publish), ("network_subscribe", subscribe)):
+        check_reach(f"[bus] {key}", endpoint, bus_keys=rig.bus_keys, bus_open=rig.bus_open)
+    return BusAddress(publish, subscribe)
+
+
+def guard_of(rig: RigSection, network: BusAddress | None) -> Guard | None:
+    """Who asks for keys; None where nobody is to, because all is within this machine or open to everyone.
+
+    Raises:
+        ConfigError: the keys cannot be used.
+    """
+    over_tcp = network is not None or is_tcp(rig.bus_publish) or is_tcp(rig.bus_subscribe)
+    return Guard(Path(rig.bus_keys)) if rig.bus_keys and over_tcp else None
+
+
 def build(app: App[BusSection]) -> None:
-    if app.rig.bus_publish == app.rig.bus_subscribe:
-        raise ConfigError(f"[rig] bus_publish and bus_subscribe are both {app.rig.bus_publish}; they must differ")
-    hold_socket(app.rig.bus_publish)
-    hold_socket(app.rig.bus_subscribe)
+    rig = app.rig
+    if rig.bus_publish == rig.bus_subscribe:
+        raise ConfigError(f"[rig] bus_publish and bus_subscribe are both {rig.bus_publish}; they must differ")
+    network = network_of(rig, app.config)
+    hold_socket(rig.bus_publish)
+    hold_socket(rig.bus_subscribe)
+    guard = guard_of(rig, network)
     try:
-        broker = Broker(app.rig.bus)
+        broker = Broker(rig.bus, network=network, guard=guard)
     except zmq.ZMQError as problem:
-        raise BusUnreachable(
-            f"cannot listen at {app.rig.bus_publish} and {app.rig.bus_subscribe}: {problem.strerror}"
-        ) from problem
+        raise BusUnreachable(f"cannot listen at {problem.strerror}") from problem
+    if network is not None:
+        app.log.event("network", publish=network.publish, subscribe=network.subscribe, asks_for_keys=guard is not None)
+    if guard is not None:
+        _set_up(app, guard)
     seen = BrokerCounters()
     reported = 0
 
@@ -79,7 +123,52 @@ def build(app: App[BusSection]) -> None:
     app.every(5.0, report)
 
 
+def _set_up(app: App[BusSection], guard: Guard) -> None:
+    def report() -> None:
+        refused = guard.refused
+        if refused.count:
+            reason = f"{refused.address} came with {refused.key}, which is not in {AUTHORIZED}/"
+            # A machine that is not known yet tries every two seconds, perhaps for days: told every ten minutes.
+            app.log.problem("unknown_key", f"{reason}; {refused.count} times refused so far", kind=refused.key)
+
+    app.on_readable(guard.questions, guard.answer)
+    app.on_exit(guard.close)
+    app.every(5.0, report)
+
+
+def make_bus_keys(rig: RigSection, _: BusSection) -> None:
+    """One shot: the bus's own pair, and the folder for the public keys of others."""
+    folder = _keys_folder(rig)
+    secret, public = make_pair(folder, BUS)
+    authorized = make_authorized(folder)
+    print(
+        f"{secret} is the bus's and stays here; {public} goes to the other machines, their client.pub to {authorized}"
+    )
+
+
+def make_client_keys(rig: RigSection, _: BusSection) -> None:
+    """One shot: the pair of a machine that takes part."""
+    secret, public = make_pair(_keys_folder(rig), CLIENT)
+    print(
+        f"{secret} is this machine's and stays here; copy {public} to authorized/ of the bus, under this machine's name"
+    )
+
+
+def _keys_folder(rig: RigSection) -> Path:
+    if not rig.bus_keys:
+        raise ConfigError("[rig] bus_keys is not set: name there the folder that the keys are to be in")
+    return Path(rig.bus_keys)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     return run_service(
-        "flora-bus", BusSection, build, argv=argv, description="The message bus: XSUB/XPUB proxy with last values."
+        "flora-bus",
+        BusSection,
+        build,
+        argv=argv,
+        description="The message bus: XSUB/XPUB proxy with last values.",
+        actions=[
+            Action("--make-bus-keys", "make the keys of a bus over TCP in [rig] bus_keys, and end", make_bus_keys),
+            Action("--make-client-keys", "make the keys of a machine that takes part, and end", make_client_keys),
+        ],
     )

@@ -55,10 +55,11 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the bus said: whether it answered, and a line for each service."""
+    """What the bus said: whether it answered, a line for each service, and why it does not let us in."""
 
     is_there: bool
     lines: tuple[Line, ...] = ()
+    refusal: str = ""
 
 
 @dataclass(frozen=True, slots=True)

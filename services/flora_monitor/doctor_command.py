@@ -78,7 +78,8 @@ def _heard(common: Common) -> Heard:
             ends_early=True,
             give_up_s=NO_BUS_AFTER_S - 0.2,  # the listener would say so itself, and the doctor has a line for it
         )
+        refusal = listener.client.refusal
     finally:
         listener.close()
     lines = board.lines(real_s=time.monotonic(), mono_ns=SystemClock().mono_ns()) if is_there else []
-    return Heard(is_there, tuple(lines))
+    return Heard(is_there, tuple(lines), refusal)

@@ -116,7 +116,7 @@ class Listener:
     def _warn_of_no_bus(self, what_now: str) -> None:
         if not self._has_warned:
             self._has_warned = True
-            self.warn(f"no bus answers at {self._rig.bus_subscribe}; {what_now}")
+            self.warn(self.client.refusal or f"no bus answers at {self._rig.bus_subscribe}; {what_now}")
 
     def warn(self, text: str) -> None:
         """One line on stderr."""

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
+from flora_common.bus_keys import is_loopback
 from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
 from flora_common.errors import BadRunFolder
 from flora_common.health import services_of_catalogue
@@ -46,8 +47,8 @@ class Common:
     @property
     def is_this_machine(self) -> bool:
         """The times in messages are of this machine's own clock."""
-        near = ("ipc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
-        return not self.is_lock_step and self.rig.bus_subscribe.startswith(near)
+        where = self.rig.bus_subscribe
+        return not self.is_lock_step and (where.startswith("ipc://") or is_loopback(where))
 
     def tick_s(self, interval_s: float | None) -> float:
         if interval_s is not None:

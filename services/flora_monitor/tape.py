@@ -12,6 +12,7 @@ import msgspec
 import zmq
 
 from flora_common.bus import BusAddress, SequenceCheck, bound
+from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
 from flora_common.clock import NS, unix_seconds
 from flora_common.errors import BadMessage, BusUnreachable
 from flora_common.messages import decode, split_topic
@@ -51,10 +52,16 @@ class Player:
         # A full queue makes the sender wait: nothing of a recording is dropped on the way to the bus.
         self._socket.setsockopt(zmq.XPUB_NODROP, 1)
         bound(self._socket, linger_ms=FLUSH_TIMEOUT_MS)
-        self._socket.connect(address.publish)
-        if not self._socket.poll(round(BUS_TIMEOUT_S * 1000)):
+        prepare_to_connect(self._socket, address.publish, address.keys)
+        handshakes = Handshakes([(self._socket, address.publish)], address.keys)
+        connect(self._socket, address.publish)
+        is_there = bool(self._socket.poll(round(BUS_TIMEOUT_S * 1000)))
+        handshakes.tend()
+        handshakes.close()
+        if not is_there:
             self._socket.close(linger=0)
-            raise BusUnreachable(f"no bus answers at {address.publish}; is flora-bus running?")
+            nobody = f"no bus answers at {address.publish}; is flora-bus running?"
+            raise BusUnreachable(handshakes.problem or nobody)
 
     def play(
         self,

@@ -165,7 +165,8 @@ class Line:
         give_up_s = time.monotonic() + BUS_WITHIN_S
         while not self.bus.connected:
             if time.monotonic() > give_up_s:
-                raise BusUnreachable(f"no answer from the bus in {BUS_WITHIN_S:g} s; is flora-bus running?")
+                nobody = f"no answer from the bus in {BUS_WITHIN_S:g} s; is flora-bus running?"
+                raise BusUnreachable(self.bus.refusal or nobody)
             kept += self.wait(0.1)
         return kept
 

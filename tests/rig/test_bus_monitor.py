@@ -296,6 +296,9 @@ def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -
     [
         (["tail", "--rig", "Box 1"], "--rig 'Box 1': a rig's name is small letters"),
         (["tail", "--subscribe", "nowhere"], "--subscribe: `bus_subscribe` "),
+        (["tail", "--subscribe", "tcp://10.0.0.3:5572"], "bus_subscribe is tcp://10.0.0.3:5572, which other machines"),
+        (["tail", "--publish", "tcp://127.0.0.1"], "bus_publish is tcp://127.0.0.1, without a port"),
+        (["tail", "--publish", "tcp://127.0.0.1:*"], "tcp://127.0.0.1:*: nothing can be looked for there"),
         (["record", "a.txt"], "a.txt: a recording's name ends in .mcap"),
         (["tail", "test/[tick"], "pattern 'test/[tick': `[` without `]`; no topic fits it"),
         (["rates", "[!]"], "`[` without `]`"),

@@ -37,7 +37,7 @@ class RigLink:
         client = BusClient(named.bus, rig=rig, source=app.name, clock=default_clock(named))
         client.subscribe(*HEARD)
         client.connect()
-        app.on_readable(client.publisher, client.handle_publisher)
+        app.attend(client, client.handle_publisher)
         app.on_readable(client.subscriber, self._receive)
         app.on_exit(client.close)
         self._client = client

@@ -1,0 +1,160 @@
+"""A participant's connection to the bus: what it needs over TCP, whether the bus lets us in, and the next try.
+
+ZeroMQ says nothing of a connection that does not come about, and after some refusals it does not try again. Measured
+with libzmq 4.3.5: a machine that the bus does not know, and one without keys, are refused once and for ever; with a
+wrong key of the bus it tries for ever and hears nothing.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import Any, Final
+
+import zmq
+
+from flora_common.bus_keys import AUTHORIZED, ClientKeys, is_tcp, protect_client
+from flora_common.errors import ConfigError
+
+FAR_RECONNECT_MS: Final = 250
+"""Over TCP: whoever is turned away at each try must not keep the bus busy."""
+
+HEARTBEAT_MS: Final = 5000
+"""Over TCP: after three of these without an answer the line is dead, and a new one is tried."""
+
+RETRY_S: Final = 2.0
+"""Real seconds from a refusal to the next try."""
+
+SILENT_TIMES: Final = 3
+"""Broken off without a word so often in a row, it is no bus that was just being stopped."""
+
+_EVENT: Final = struct.Struct("=hi")
+_REFUSED: Final = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+_WATCHED: Final = _REFUSED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_SUCCEEDED
+
+
+def prepare_to_connect(socket: zmq.Socket[bytes], endpoint: str, keys: ClientKeys | None) -> None:
+    """What a participant's socket needs for this endpoint; before it connects.
+
+    Args:
+        socket: any type.
+        endpoint: where the bus is.
+        keys: shown over TCP, and nowhere else.
+    """
+    far = is_tcp(endpoint)
+    socket.setsockopt(zmq.RECONNECT_IVL, FAR_RECONNECT_MS if far else 20)
+    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 4 * FAR_RECONNECT_MS if far else 500)
+    if not far:
+        return
+    socket.setsockopt(zmq.IPV6, int("[" in endpoint))
+    # A network goes away without a word: without this a subscriber would wait for ever on a line that is dead.
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 3 * HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, 3 * HEARTBEAT_MS)
+    if keys is not None:
+        protect_client(socket, keys)
+
+
+def connect(socket: zmq.Socket[bytes], endpoint: str) -> None:
+    """Look for the bus from now on, whether it is there or not.
+
+    Raises:
+        ConfigError: no bus can be there, such as at a ``tcp://`` without a port.
+    """
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as problem:
+        raise ConfigError(
+            f"{endpoint}: nothing can be looked for there ({zmq.strerror(problem.errno or 0)}); tcp://HOST:PORT or ipc:///FILE"
+        ) from problem
+
+
+class _Watched:
+    """One socket that connects to one endpoint."""
+
+    def __init__(self, socket: zmq.Socket[bytes], endpoint: str, *, has_keys: bool) -> None:
+        self._socket = socket
+        self._endpoint = endpoint
+        self._has_keys = has_keys
+        self._silences = 0
+        self._retry_at_s: float | None = None
+        self.monitor: zmq.Socket[Any] = socket.get_monitor_socket(_WATCHED)
+        self.problem = ""
+
+    def tend(self, now_s: float) -> None:
+        while True:
+            try:
+                parts = self.monitor.recv_multipart(zmq.DONTWAIT)
+            except zmq.Again:
+                break
+            self._take(_EVENT.unpack(parts[0])[0], now_s)
+        if self._retry_at_s is not None and now_s >= self._retry_at_s:
+            self._retry_at_s = None
+            self._socket.disconnect(self._endpoint)
+            self._socket.connect(self._endpoint)
+
+    def close(self) -> None:
+        self._socket.disable_monitor()
+        self.monitor.close(linger=0)
+
+    def _take(self, event: int, now_s: float) -> None:
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self.problem, self._silences = "", 0
+        elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
+            self._silences += 1
+            if self._silences >= SILENT_TIMES:
+                self.problem = f"what listens at {self._endpoint} breaks off: {self._why_silent()}"
+        else:
+            self._retry_at_s, self._silences = now_s + RETRY_S, 0
+            is_unknown = event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+            why = f"put its client.pub into {AUTHORIZED}/ there" if is_unknown else self._why_unlike()
+            whom = "does not know this machine" if is_unknown else "speaks otherwise"
+            self.problem = f"the bus at {self._endpoint} {whom}: {why}"
+
+    def _why_silent(self) -> str:
+        # Who wants other keys may have hung up before we read what it wants.
+        if self._has_keys:
+            return "its key is not that of bus.pub here, or it has none, or it is no flora-bus"
+        return "it has keys, and [rig] bus_keys is not set here, or it is no flora-bus"
+
+    def _why_unlike(self) -> str:
+        if self._has_keys:
+            return "it has no keys, and [rig] bus_keys is set here"
+        return "it has keys, and [rig] bus_keys is not set here"
+
+
+class Handshakes:
+    """The connections of one participant to the bus, as far as they are over TCP.
+
+    Args:
+        connections: sockets that are about to connect, and where to.
+        keys: what they show.
+    """
+
+    def __init__(self, connections: list[tuple[zmq.Socket[bytes], str]], keys: ClientKeys | None) -> None:
+        self._watched = [
+            _Watched(socket, endpoint, has_keys=keys is not None)
+            for socket, endpoint in connections
+            if is_tcp(endpoint)
+        ]
+
+    @property
+    def monitors(self) -> list[zmq.Socket[Any]]:
+        """Readable when there is something to :meth:`tend` to; none where nothing is over TCP."""
+        return [watched.monitor for watched in self._watched]
+
+    @property
+    def problem(self) -> str:
+        """Why the bus does not let us in, in a sentence; empty where it does, or where nobody is there."""
+        return next((watched.problem for watched in self._watched if watched.problem), "")
+
+    def tend(self) -> None:
+        """Read what is told, and try again where a refusal was long enough ago; never waits."""
+        now_s = time.monotonic()
+        for watched in self._watched:
+            watched.tend(now_s)
+
+    def close(self) -> None:
+        """Look no further; before the sockets are closed."""
+        for watched in self._watched:
+            watched.close()
