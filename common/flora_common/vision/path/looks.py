@@ -52,6 +52,9 @@ def leaf_from(line: FloatArray, sampler: Sampler, px_per_cm: float) -> int:
     tone, green = sampler.tone(places), sampler.green(places)
     # the brightest and the least green of all that lies above each place
     brightest, palest = np.maximum.accumulate(tone[AT_TIP:]), np.minimum.accumulate(green[AT_TIP:])
+    # most ends are as bright, or as pale, as something below: then nothing else need be looked at
+    if brightest[least - 1 - AT_TIP] > tone.max() - DARKER or palest[least - 1 - AT_TIP] < green.min() + GREENER:
+        return len(line)
     for k in range(most, least - 1, -1):
         below = slice(k + gap, k + reach)
         if (
@@ -69,6 +72,8 @@ def has_neck(line: FloatArray, sampler: Sampler, px_per_cm: float) -> bool:
     plant = sampler.plant(places)
     gap, reach = round(BELOW_FROM_CM / STEP_CM), round(NECK_BELOW_CM / STEP_CM)
     first, last = round(NECK_FROM_CM / STEP_CM), min(round(LONGEST_CM / STEP_CM), len(plant) - reach)
+    if last <= first or plant[first:last].min() >= NECK_SHARE * plant.max():
+        return False
     return any(plant[k] < NECK_SHARE * float(np.median(plant[k + gap : k + reach])) for k in range(first, last))
 
 

@@ -38,7 +38,10 @@ CLEAN_RUN: Final = 3
 GOES_ON_WIDTHS: Final = (1.0, 2.0)
 """Where the found line goes on by more than this past the place where the two part, the band is a leaf."""
 KEEPS_TIP_FROM, KEEPS_TIP_CM = 0.5, 0.5
-"""A tip that is as near as this to the one before, where that is trusted, needs no other; unless it is a leaf's."""
+"""A tip that is as near as this to the one before, where that is trusted, needs no other; unless it is a leaf's, or the
+stem plainly goes on by more than as much."""
+PLAIN_SHARE: Final = 0.8
+"""Share of what goes on plainly that has two clean edges."""
 MEASURED_POINTS: Final = 12
 LEAVES_WIDTHS, LEAVES_CM = 0.8, 0.15
 """A band that leaves the found line by more than both is a bend that the line did not take."""
@@ -189,9 +192,12 @@ def round_bends(stem: Stem, tip: Tip, sampler: Sampler, px_per_cm: float, before
     """The band in which the line is sure, followed on, where that leads elsewhere than to the tip; shape (n, 2)."""
     line = np.concatenate([stem.line[: tip.safe + 1], tip.places])
     upto = leaf_from(line, sampler, px_per_cm)
-    trusted = before is not None and before.trust > KEEPS_TIP_FROM and upto == len(line)
-    if before is not None and trusted and np.hypot(*(line[-1] - before.line_px[-1])) < KEEPS_TIP_CM * px_per_cm:
-        return np.zeros((0, 2))
+    kept = (
+        before is not None
+        and before.trust > KEEPS_TIP_FROM
+        and upto == len(line)
+        and bool(np.hypot(*(line[-1] - before.line_px[-1])) < KEEPS_TIP_CM * px_per_cm)
+    )
     band, clean = traced(stem.line[: tip.safe + 1], _width_before(stem, tip.safe), sampler, px_per_cm)
     if len(band) < 2:
         return band[:0]
@@ -201,6 +207,10 @@ def round_bends(stem: Stem, tip: Tip, sampler: Sampler, px_per_cm: float, before
     squared = ((band[:, None, :] - found[None]) ** 2).sum(axis=2)
     off = np.flatnonzero(np.sqrt(squared.min(axis=1)) > max(LEAVES_WIDTHS * width, LEAVES_CM * px_per_cm))
     if not off.size:
+        return band[:0]
+    if kept and not (
+        clean[off[0] :].mean() > PLAIN_SHARE and arc_length(band[off[0] :])[-1] > KEEPS_TIP_CM * px_per_cm
+    ):
         return band[:0]
     parting = int(np.argmin(squared[max(0, off[0] - 1)]))
     most = GOES_ON_WIDTHS[int(clean[off[0] :].mean() > CLEAN_SHARE)] * width
