@@ -13,9 +13,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import Sampler, along_line
-from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.looks import has_neck, leaf_from
-from flora_common.vision.path.strands import plant_mask
 from flora_common.vision.path.tip import find_tip, round_bends
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.reading import OCCLUDED, OK, StemReading
@@ -131,15 +129,3 @@ def test_a_kept_tip_at_which_the_stem_plainly_goes_on_is_no_tip() -> None:
         assert (len(band) > 0) == goes_on
         if goes_on:
             assert math.dist(band[-1], line_px[-1]) < 0.3 * SCALE
-
-
-def test_a_faint_stem_beside_a_leaf_that_is_plainer_is_plant() -> None:
-    """Not what is blurred of the leaf, nor what is in the gap between the two."""
-    plant = np.full((40, 60), 8.0, np.float32)
-    plant[:, 20:26] = 30.0
-    plant[10:30, 31:45] = 110.0
-    evidence = Evidence((0, 0), plant, np.zeros((40, 60, 3), np.uint8), 1.0)
-    mask = plant_mask(evidence, 14.0)
-    assert mask[2:-2, 21:25].all()
-    assert mask[12:28, 32:44].all()
-    assert not mask[12:28, 27:29].any()

@@ -27,11 +27,11 @@ BELOW_FROM_CM, BELOW_CM = 0.2, 1.7
 """The stem below a place is what lies between these distances from it."""
 LEAST_BELOW: Final = 10
 """So many steps of that are needed. Where a leaf lies over them, nothing above is darker, and nothing is said."""
-DARKER, GREENER = 16.0, 5.0
-"""Code units by which a leaf is darker, and greener against red, than the stem below: all of it, by both. Less is done
-by the lamps, whose light falls off along a stem, but does not change its colour so."""
-NECK_SHARE: Final = 0.6
-"""Of the evidence of plant over the centimetre below; one stem in thirty falls to that somewhere in its last two."""
+DARKER, GREENER = 24.0, 8.0
+"""Code units by which a leaf is darker, and greener against red, than the stem below: all of it, by both. The light of
+lamps falls off along a stem by nearly as much, and does not change its colour so."""
+NECK_SHARE: Final = 0.5
+"""Of the evidence of plant over the centimetre below; one stem in sixty falls to that somewhere in its last two."""
 NECK_FROM_CM, NECK_BELOW_CM = 0.25, 1.2
 """The very end always fades; and how far below a neck the stem is looked at."""
 

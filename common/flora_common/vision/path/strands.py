@@ -23,9 +23,6 @@ ByteArray = npt.NDArray[np.uint8]
 
 LOCAL_SHARE: Final = 0.40
 """Of the strongest evidence nearby, a pixel needs this share to belong to the plant: edges lie at the half."""
-NEARBY: Final = 0.7
-"""In widths of the widest stem: side of the square that is nearby. A leaf may be four times as plain to see as a stem
-that passes it: from farther off it would take the stem out."""
 RIDGE_LEAST, RIDGE_NOISE = 7.0, 3.0
 """A stem on a leaf stands out by so many code units, and by so many standard deviations."""
 APART: Final = 1.3
@@ -147,7 +144,7 @@ def find_strands(evidence: Evidence, *, widest_px: float, foot_px: tuple[float, 
 
 def plant_mask(evidence: Evidence, widest_px: float) -> ByteArray:
     """1 where there is plant: a clear share of the strongest evidence nearby, so that edges fall where they are."""
-    side = max(3, round(NEARBY * widest_px)) | 1
+    side = max(3, round(widest_px)) | 1
     strongest = cv2.dilate(cv2.GaussianBlur(evidence.plant, (0, 0), 1.0), np.ones((side, side), np.uint8))
     mask = ((evidence.plant > LOCAL_SHARE * strongest) & (evidence.plant > 0)).astype(np.uint8)
     return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
