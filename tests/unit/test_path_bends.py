@@ -100,6 +100,14 @@ def test_a_second_plant_beside_the_first_is_told() -> None:
     assert "beside the anchor" in both.reason
 
 
+def test_a_stem_beside_the_anchor_is_no_stem_of_the_plant_there() -> None:
+    """The line goes level over to it; a base that is hidden by a rim begins above the anchor."""
+    beside = tracker().read(drawn(board(1), leaning(0.5, 8.0, foot_cm=-1.6)), 0.0)
+    above = tracker().read(drawn(board(1), np.array([0.5, 1.6]) + leaning(0.5, 7.0)), 0.0)
+    assert beside.outcome != OK
+    assert above.outcome == OK
+
+
 def test_of_two_stems_alike_none_is_said_with_confidence() -> None:
     left, right = (np.column_stack([s * np.linspace(0.0, 2.5, 40), np.linspace(0.0, 7.0, 40)]) for s in (-1.0, 1.0))
     reading = tracker().read(drawn(drawn(board(1), left), right), 0.0)

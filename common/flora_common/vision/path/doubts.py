@@ -15,6 +15,7 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
+from flora_common.vision.path.looks import has_neck, leaf_from
 from flora_common.vision.path.strands import ByteArray, End, Strands
 
 LEAST_COVER: Final = 0.75
@@ -35,6 +36,9 @@ RISES_CM, UPRIGHT = 1.2, 0.8
 """Another stem is as long as this, and leans by less."""
 FOOT_CM, BESIDE_CM = 1.0, 1.0
 """Its foot is no higher above the anchor's height than the first, and farther aside than the second."""
+ASIDE_CM: Final = 1.0
+"""A line whose first seen piece begins farther aside from the anchor than this, and than above it, is another plant's:
+what hides a base, a rim or soil, hides it below."""
 ALIKE: Final = 0.5
 """In shares of the stem's: how clear and thick it is at least."""
 FADED, FADED_SHARE = 10.0, 0.45
@@ -72,6 +76,10 @@ def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: floa
     last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
     if last.size and rest.size and (np.median(last) < max(FADED, FADED_SHARE * float(np.median(rest)))):
         return "the stem fades before it ends: it looks like what is behind it"
+    if leaf_from(stem.line, sampler, px_per_cm) < len(stem.line):
+        return "the line ends in what is darker and greener than the stem below: a leaf"
+    if has_neck(stem.line, sampler, px_per_cm):
+        return "the line goes through a neck that is thinner than the stem on both sides"
     return ""
 
 
@@ -96,6 +104,12 @@ def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
         ):
             return True
     return False
+
+
+def begins_aside(chain: Chain, camera: CameraSection) -> bool:
+    """Whether what is seen of the stem begins beside the anchor rather than above it: it is another plant's."""
+    (x, y), foot = camera.anchor_px, chain.pieces[0].points[0]
+    return bool(abs(foot[0] - x) > max(ASIDE_CM * camera.px_per_cm, y - foot[1]))
 
 
 def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_per_cm: float) -> tuple[float, float]:

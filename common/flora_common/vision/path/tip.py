@@ -16,6 +16,7 @@ import numpy as np
 from flora_common.geometry import FloatArray
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, BoolArray, Sampler, Stem, arc_length
+from flora_common.vision.path.looks import leaf_from
 from flora_common.vision.path.trace import traced
 
 GLANCE, LOOKED_AT = 4, 9
@@ -37,7 +38,10 @@ CLEAN_RUN: Final = 3
 GOES_ON_WIDTHS: Final = (1.0, 2.0)
 """Where the found line goes on by more than this past the place where the two part, the band is a leaf."""
 KEEPS_TIP_FROM, KEEPS_TIP_CM = 0.5, 0.5
-"""A tip that is as near as this to the one before, where that is trusted, needs no other."""
+"""A tip that is as near as this to the one before, where that is trusted, needs no other; unless it is a leaf's, or the
+stem plainly goes on by more than as much."""
+PLAIN_SHARE: Final = 0.8
+"""Share of what goes on plainly that has two clean edges."""
 MEASURED_POINTS: Final = 12
 LEAVES_WIDTHS, LEAVES_CM = 0.8, 0.15
 """A band that leaves the found line by more than both is a bend that the line did not take."""
@@ -97,7 +101,7 @@ def find_tip(
         before: the stem in the picture before.
         beyond_cm: how far beyond the end of what was found the tip is looked for.
     """
-    safe = _last_sure(stem)
+    safe = _last_sure(stem, leaf_from(stem.line, sampler, px_per_cm))
     s = arc_length(stem.line)
     width = float(stem.width[safe])
     followed_cm = FOLLOWED_CM if s[safe] < stem.bends_from else FOLLOWED_ROUND_BEND_CM
@@ -186,22 +190,33 @@ def _just_beyond(arc: FloatArray, plant: FloatArray, end: int, least: float) -> 
 
 def round_bends(stem: Stem, tip: Tip, sampler: Sampler, px_per_cm: float, before: Before | None = None) -> FloatArray:
     """The band in which the line is sure, followed on, where that leads elsewhere than to the tip; shape (n, 2)."""
-    if before is not None and before.trust > KEEPS_TIP_FROM:
-        end = tip.places[-1] if len(tip.places) else stem.line[tip.safe]
-        if np.hypot(*(end - before.line_px[-1])) < KEEPS_TIP_CM * px_per_cm:
-            return np.zeros((0, 2))
+    line = np.concatenate([stem.line[: tip.safe + 1], tip.places])
+    upto = leaf_from(line, sampler, px_per_cm)
+    kept = (
+        before is not None
+        and before.trust > KEEPS_TIP_FROM
+        and upto == len(line)
+        and bool(np.hypot(*(line[-1] - before.line_px[-1])) < KEEPS_TIP_CM * px_per_cm)
+    )
     band, clean = traced(stem.line[: tip.safe + 1], _width_before(stem, tip.safe), sampler, px_per_cm)
     if len(band) < 2:
         return band[:0]
     width = float(stem.width[tip.safe])
-    found = np.concatenate([stem.line[max(0, tip.safe - 8) : tip.safe + 1], tip.places])[::2]
+    first = max(0, tip.safe - 8)
+    found = line[first::2]
     squared = ((band[:, None, :] - found[None]) ** 2).sum(axis=2)
     off = np.flatnonzero(np.sqrt(squared.min(axis=1)) > max(LEAVES_WIDTHS * width, LEAVES_CM * px_per_cm))
     if not off.size:
         return band[:0]
+    if kept and not (
+        clean[off[0] :].mean() > PLAIN_SHARE and arc_length(band[off[0] :])[-1] > KEEPS_TIP_CM * px_per_cm
+    ):
+        return band[:0]
     parting = int(np.argmin(squared[max(0, off[0] - 1)]))
     most = GOES_ON_WIDTHS[int(clean[off[0] :].mean() > CLEAN_SHARE)] * width
-    return band if float(arc_length(found[parting:])[-1]) < most else band[:0]
+    # what runs through a leaf is not the stem that goes on
+    more = found[parting : max(parting + 1, (upto - first + 1) // 2)]
+    return band if float(arc_length(more)[-1]) < most else band[:0]
 
 
 def _width_before(stem: Stem, safe: int) -> float:
@@ -231,9 +246,9 @@ def _is_open(there: BoolArray, end: int, width: float) -> bool:
     return _still_there(there, end) * STEP < 0.5 * width + 1.0
 
 
-def _last_sure(stem: Stem) -> int:
-    """The last point of a run of clean ones."""
-    run = np.convolve(stem.clean.astype(int), np.ones(CLEAN_RUN, int), mode="valid") == CLEAN_RUN
+def _last_sure(stem: Stem, upto: int) -> int:
+    """The last point of a run of clean ones among the first ``upto``."""
+    run = np.convolve(stem.clean[:upto].astype(int), np.ones(CLEAN_RUN, int), mode="valid") == CLEAN_RUN
     found = np.flatnonzero(run)
     if found.size == 0:
         return max(1, int(0.6 * len(stem.line)))

@@ -210,6 +210,8 @@ class PathTracker:
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
+        if doubts.begins_aside(fit.chain, self.camera):
+            unsure = "it begins beside the anchor, as another plant does"
         if followed.is_astray(final.line[-1]):
             unsure = "it ends elsewhere than the apex before, which is still to be seen"
         if elsewhere > STEPS_BELIEVED:
