@@ -81,16 +81,16 @@ def halves() -> tuple[str, str]:
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "\0" * 100,
-        "curve",
-        certificate(halves()[0]),
-        certificate(halves()[0], halves()[1]),  # halves of two pairs
-        certificate(halves()[0][:-1], halves()[1]),
-        certificate("~" * 40, halves()[1]),
-        certificate("#" * 40, "#" * 40),  # five of these are more than 32 bits
-        certificate(*halves()) + certificate(*halves()),
-        certificate("é" * 40, halves()[1]),
+        pytest.param("", id="empty"),
+        pytest.param("\0" * 100, id="zeros"),
+        pytest.param("curve", id="a word"),
+        pytest.param(certificate(halves()[0]), id="public half alone"),
+        pytest.param(certificate(halves()[0], halves()[1]), id="halves of two pairs"),
+        pytest.param(certificate(halves()[0][:-1], halves()[1]), id="too short"),
+        pytest.param(certificate("~" * 40, halves()[1]), id="not Z85"),
+        pytest.param(certificate("#" * 40, "#" * 40), id="five of these are more than 32 bits"),
+        pytest.param(certificate(*halves()) + certificate(*halves()), id="two pairs"),
+        pytest.param(certificate("é" * 40, halves()[1]), id="not ASCII"),
     ],
 )
 def test_what_is_no_secret_key_is_refused(tmp_path: Path, text: str) -> None:
