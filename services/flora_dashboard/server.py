@@ -128,7 +128,6 @@ class PageServer:
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=1,
-            limit_concurrency=None,
         )
         self._latest, self._loop = latest, asyncio.get_running_loop()
         self._server = uvicorn.Server(config)

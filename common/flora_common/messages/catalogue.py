@@ -45,6 +45,7 @@ MAX_CHUNKS: Final = 62
 MOST_SHADOW_TICKS: Final = 100_000
 MOST_CAUSES: Final = 20
 MOST_ARGUMENTS: Final = 60
+LONGEST_ARGUMENT: Final = 300
 OfferId = Annotated[
     str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)", max_length=16, description="drawn anew by whoever offers")
 ]
@@ -313,7 +314,7 @@ class Job(Message, kw_only=True, frozen=True):
     job: Annotated[OfferId, Meta(description="drawn anew by whoever asks")]
     work: Annotated[Name, Meta(description="a subcommand of flora-lab, such as train or evolve")]
     arguments: Annotated[
-        tuple[Annotated[str, Meta(max_length=300)], ...],
+        tuple[Annotated[str, Meta(max_length=LONGEST_ARGUMENT)], ...],
         Meta(max_length=MOST_ARGUMENTS, description="its arguments; paths are relative to the folder of all jobs"),
     ] = ()
     stop: Annotated[bool, Meta(description="no longer: end it, or take it from those that wait")] = False

@@ -1,4 +1,5 @@
 // The run so far. A row is [time_s, light, outcome, x_cm, y_cm, fitness]; without a stem the last three are null.
+import { drawTask } from "./overlay.js";
 import { pathOf, shape, tickText, ticks } from "./svg.js";
 
 const TIME = 0, LIGHT = 1, X = 3, Y = 4, FITNESS = 5;
@@ -61,14 +62,7 @@ export function drawPath(svg, rows, view) {
   for (const x of ticks(low[0], high[0], 4)) {
     svg.append(shape("text", { class: "tick", x: place([x, 0])[0], y: height - 5, "text-anchor": "middle" }, tickText(x)));
   }
-  if (obstacle) {
-    const [x, y] = place([obstacle.x_cm - obstacle.width_cm / 2, obstacle.y_cm + obstacle.height_cm / 2]);
-    svg.append(shape("rect", { class: "obstacle", x, y, width: obstacle.width_cm * scale, height: obstacle.height_cm * scale }));
-  }
-  if (target) {
-    const [cx, cy] = place([target.x_cm, target.y_cm]);
-    svg.append(shape("circle", { class: "target", cx, cy, r: target.radius_cm * scale }));
-  }
+  drawTask(svg, view, place, scale);
   drawLine(svg, pieces(thinned(rows), view.interval_s, (row) => (row[X] === null ? null : place([row[X], row[Y]]))));
   const stem = view.last.stem?.message;
   if (stem?.points_cm.length) {
@@ -80,8 +74,8 @@ export function drawPath(svg, rows, view) {
 
 export function drawCourses(svgs, rows, view, told) {
   const kinds = [
-    { of: (row) => row[X], name: "right", unit: "cm", goal: view.target?.x_cm, least: [-2, 2] },
-    { of: (row) => row[Y], name: "up", unit: "cm", goal: view.target?.y_cm, least: [0, 5] },
+    { of: (row) => row[X], name: "right", unit: "cm", goal: view.target?.x_cm ?? null, least: [-2, 2] },
+    { of: (row) => row[Y], name: "up", unit: "cm", goal: view.target?.y_cm ?? null, least: [0, 5] },
     { of: (row) => (row[FITNESS] === null ? null : 100 * row[FITNESS]), name: "fitness", unit: "%", goal: null, least: [0, 100] },
   ];
   const first = rows.length ? rows[0][TIME] / 3600 : 0;
@@ -102,7 +96,7 @@ function drawCourse(svg, rows, view, kind, first, last) {
   const x = across(width, first, last);
   const values = rows.map(kind.of).filter((value) => value !== null);
   let low = Math.min(kind.least[0], least(values)), high = Math.max(kind.least[1], most(values));
-  if (kind.goal !== null && kind.goal !== undefined) { low = Math.min(low, kind.goal); high = Math.max(high, kind.goal); }
+  if (kind.goal !== null) { low = Math.min(low, kind.goal); high = Math.max(high, kind.goal); }
   const room = 0.05 * (high - low);
   const y = (value) => EDGE.top + ((high + room - value) / (high - low + 2 * room)) * (height - EDGE.top - EDGE.bottom);
   for (const [light, from, to] of bands(rows)) {
@@ -113,7 +107,7 @@ function drawCourse(svg, rows, view, kind, first, last) {
     svg.append(shape("text", { class: "tick", x: EDGE.left - 6, y: y(value) + 4, "text-anchor": "end" }, tickText(value)));
   }
   for (const hour of ticks(first, last, 8)) svg.append(shape("text", { class: "tick", x: x(hour), y: height - 5, "text-anchor": "middle" }, `${tickText(hour)} h`));
-  if (kind.goal !== null && kind.goal !== undefined) svg.append(shape("line", { class: "goal", x1: EDGE.left, x2: width - EDGE.right, y1: y(kind.goal), y2: y(kind.goal) }));
+  if (kind.goal !== null) svg.append(shape("line", { class: "goal", x1: EDGE.left, x2: width - EDGE.right, y1: y(kind.goal), y2: y(kind.goal) }));
   drawLine(svg, pieces(thinned(rows), view.interval_s, (row) => (kind.of(row) === null ? null : [x(row[TIME] / 3600), y(kind.of(row))])));
 }
 
@@ -124,8 +118,7 @@ function bands(rows) {
     const light = rows[i][LIGHT], from = rows[i - 1][TIME] / 3600, to = rows[i][TIME] / 3600;
     const before = found.at(-1);
     if (before && before[0] === light) before[2] = to;
-    else if (light !== "dark") found.push([light, from, to]);
-    else found.push(["dark", from, to]);
+    else found.push([light, from, to]);
   }
   return found.filter(([light]) => light !== "dark");
 }

@@ -1,14 +1,8 @@
 // Stem, target and obstacle over the photograph, in its own pixels.
 import { pathOf, shape } from "./svg.js";
 
-export function drawOverlay(svg, view, isWanted) {
-  svg.replaceChildren();
-  const camera = view.camera;
-  if (!camera || !isWanted) return;
-  svg.setAttribute("viewBox", `0 0 ${camera.width_px} ${camera.height_px}`);
-  const scale = camera.px_per_cm;
-  const place = ([x, y]) => [camera.anchor_px[0] + x * scale, camera.anchor_px[1] - y * scale];
-  const { target, obstacle } = view;
+// Obstacle and target, where `place` puts a point in cm, at so many px per cm.
+export function drawTask(svg, { target, obstacle }, place, scale) {
   if (obstacle) {
     const [x, y] = place([obstacle.x_cm - obstacle.width_cm / 2, obstacle.y_cm + obstacle.height_cm / 2]);
     svg.append(shape("rect", { class: "obstacle", x, y, width: obstacle.width_cm * scale, height: obstacle.height_cm * scale }));
@@ -17,6 +11,16 @@ export function drawOverlay(svg, view, isWanted) {
     const [cx, cy] = place([target.x_cm, target.y_cm]);
     svg.append(shape("circle", { class: "target", cx, cy, r: target.radius_cm * scale }));
   }
+}
+
+export function drawOverlay(svg, view, isWanted) {
+  svg.replaceChildren();
+  const camera = view.camera;
+  if (!camera || !isWanted) return;
+  svg.setAttribute("viewBox", `0 0 ${camera.width_px} ${camera.height_px}`);
+  const scale = camera.px_per_cm;
+  const place = ([x, y]) => [camera.anchor_px[0] + x * scale, camera.anchor_px[1] - y * scale];
+  drawTask(svg, view, place, scale);
   const stem = view.last.stem?.message;
   if (!stem || !stem.points_cm.length) return;
   const points = stem.points_cm.map(place);

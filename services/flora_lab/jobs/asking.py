@@ -13,6 +13,7 @@ from flora_common.clock import FollowerClock
 from flora_common.config import RigSection
 from flora_common.errors import BusUnreachable
 from flora_common.messages import Job, JobProgress
+from flora_lab.jobs.rules import OVER
 
 SOURCE: Final = "flora-lab"
 POLL_S: Final = 0.1
@@ -20,7 +21,6 @@ ASK_EVERY_S: Final = 1.0
 """Until the lab has answered."""
 ASK_SLOWLY_EVERY_S: Final = 20.0
 """From then on: a lab that was started anew says so."""
-OVER: Final = frozenset({"done", "refused", "failed", "stopped"})
 
 
 def ask(

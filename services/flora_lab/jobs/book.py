@@ -17,7 +17,6 @@ BOOK_FILE: Final = "jobs.json"
 MOST_WAITING: Final = 100
 MOST_KEPT: Final = 200
 """Jobs that are over; older ones are forgotten."""
-_OVER: Final[frozenset[JobStage]] = frozenset({"done", "refused", "failed", "stopped"})
 _MOST_TEXT: Final = 500
 
 
@@ -47,7 +46,7 @@ class Entry(msgspec.Struct):
 
     @property
     def is_over(self) -> bool:
-        return self.stage in _OVER
+        return self.stage in rules.OVER
 
     def command(self) -> list[str]:
         """Arguments of ``flora-lab``."""

@@ -16,13 +16,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from flora_common.config import at_bus, checked_rig_name, load_rig
 from flora_common.errors import BadInput, FloraError
 from flora_common.messages import Job, JobProgress
-from flora_common.messages.catalogue import MOST_ARGUMENTS
+from flora_common.messages.catalogue import LONGEST_ARGUMENT, MOST_ARGUMENTS
 from flora_lab.jobs import rules
 from flora_lab.jobs.asking import ask
 
 NOBODY_AFTER_S: Final = 10.0
 _JOB_DIGITS: Final = 16
-_LONGEST: Final = 300
 
 
 class JobFailed(FloraError):
@@ -97,9 +96,9 @@ def _asked(words: list[str], job: str | None, *, stop: bool) -> Job:
     rules.check(work, arguments)
     if len(arguments) > MOST_ARGUMENTS:
         raise BadInput(f"{len(arguments)} arguments; a job has {MOST_ARGUMENTS} at most: name a folder, not its files")
-    long = next((one for one in arguments if len(one) > _LONGEST), None)
+    long = next((one for one in arguments if len(one) > LONGEST_ARGUMENT), None)
     if long is not None:
-        raise BadInput(f"argument `{long[:40]}…`: has more than {_LONGEST} signs")
+        raise BadInput(f"argument `{long[:40]}…`: has more than {LONGEST_ARGUMENT} signs")
     return Job(job=os.urandom(_JOB_DIGITS // 2).hex(), work=work, arguments=tuple(arguments))
 
 

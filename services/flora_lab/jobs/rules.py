@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from flora_common.errors import BadInput
+from flora_common.messages.catalogue import JobStage
 from flora_common.suggest import did_you_mean
 
 WORKS: Final = ("track", "report", "dataset", "train", "rollout", "evolve", "evaluate", "diagnose", "rhythm", "paper")
@@ -18,6 +19,8 @@ GO_ON: Final = frozenset({"track", "train", "evolve"})
 """Subcommands that go on where they were stopped when they are given :data:`RESUME`; others find that out themselves,
 or begin anew."""
 RESUME: Final = "--resume"
+OVER: Final[frozenset[JobStage]] = frozenset({"done", "refused", "failed", "stopped"})
+"""Stages after which nothing more becomes of a job."""
 KNOWN: Final = "known"
 """Work of a message that only asks how a job is, or ends it."""
 _REFUSED: Final = ("--cluster",)

@@ -13,7 +13,8 @@ from flora_common import files, lock
 from flora_common.app import App
 from flora_common.errors import StoreError
 from flora_common.messages import Job
-from flora_lab.bars import ENVIRONMENT, read_told
+from flora_common.messages.catalogue import JobStage
+from flora_lab.bars import ENVIRONMENT, Told, read_told
 from flora_lab.jobs.book import Book, Entry
 from flora_lab.serve.child import Child
 
@@ -50,7 +51,7 @@ class Runner:
         self._book = Book(folder)
         self._at: tuple[Child, Entry] | None = None
         self._stopped_s: float | None = None
-        self._told: object = None
+        self._told: Told | None = None
         self._said_s = 0.0
         app.on(Job, self.hear)
         app.every(LOOK_EVERY_S, self.look)
@@ -120,10 +121,9 @@ class Runner:
         took_s = time.monotonic() - child.began_s
         child.close()
         self._at = None
-        stage, text = ("done", ended.said) if ended.status == WELL else ("failed", ended.reason)
-        if self._stopped_s is not None and ended.status != WELL:
-            stage, text = "stopped", ended.said
-        self._book.ends(entry, stage, text, utc=self._utc(), took_s=took_s)  # type: ignore[arg-type]
+        stage: JobStage = "done" if ended.status == WELL else "failed" if self._stopped_s is None else "stopped"
+        text = ended.reason if stage == "failed" else ended.said
+        self._book.ends(entry, stage, text, utc=self._utc(), took_s=took_s)
         self._app.log.event("job_ends", job=entry.job, work=entry.work, stage=stage, text=text)
         self._say(entry)
         self.look()
@@ -133,7 +133,7 @@ class Runner:
         if self._at is None or self._at[1] is not entry:
             self._app.publish(self._book.progress(entry))
             return
-        told = read_told(self._folder / PROGRESS_FILE)
+        told = self._told
         self._app.publish(
             self._book.progress(
                 entry,
