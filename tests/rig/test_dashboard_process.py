@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import signal
 import socket
@@ -15,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from announced_frames import announced
 from flora_common.messages import Departure, Frame, Stem, Tick
 from flora_common.runs import CameraSection, RunFile, RunFolder, TargetSection, run_file_text
 
@@ -62,20 +62,7 @@ def photograph(bus: Any, tick: int) -> tuple[Frame, bytes]:
     path = f"frames/{tick:06}.jpg"
     (bus.run_dir / "frames").mkdir(exist_ok=True)
     (bus.run_dir / path).write_bytes(data)
-    frame = Frame(
-        tick=tick,
-        time_s=300.0 * tick,
-        path=path,
-        run="run",
-        sha256=hashlib.sha256(data).hexdigest(),
-        bytes=len(data),
-        width_px=1640,
-        height_px=1232,
-        light="left",
-        flash_confirmed=True,
-        exposure_ok=True,
-    )
-    return frame, data
+    return announced(path, data, tick), data
 
 
 def test_what_the_rig_says_is_on_the_page(bus: Any, page: Page) -> None:

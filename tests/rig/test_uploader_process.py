@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from announced_frames import announced
 from flora_common.bus import Arrival
 from flora_common.files import append_line, write_bytes
-from flora_common.messages import Frame, Health, Stored
+from flora_common.messages import Health, Stored
 
 RUN_TOML = b"[camera]\nanchor_px = [820.0, 1100.0]\npx_per_cm = 20.0\n"
 
@@ -28,22 +29,6 @@ def cpu_s(pid: int) -> float:
     """Processor time of a process so far (proc(5), fields 14 and 15)."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def announced(path: str, data: bytes, tick: int) -> Frame:
-    return Frame(
-        time_s=300.0 * tick,
-        path=path,
-        run="run",
-        sha256=hashlib.sha256(data).hexdigest(),
-        bytes=len(data),
-        width_px=1640,
-        height_px=1232,
-        light="left",
-        flash_confirmed=True,
-        exposure_ok=True,
-        tick=tick,
-    )
 
 
 def test_frames_go_when_announced_and_wait_when_the_target_is_gone(bus: Any, tmp_path: Path) -> None:

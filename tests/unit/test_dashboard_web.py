@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from announced_frames import announced
 from flora_common.errors import ConfigError
-from flora_common.messages import Frame
 from flora_dashboard.photographs import Photographs
 from flora_dashboard.server import PageServer, listen, url_of
 from flora_dashboard.web import PAGE, make_app
@@ -126,20 +126,7 @@ def test_a_photograph_is_given_by_its_hash(served: Served, tmp_path: Path) -> No
     (tmp_path / "frames" / "1.jpg").write_bytes(data)
     sha256 = hashlib.sha256(data).hexdigest()
     assert served.get(f"/photographs/{sha256}")[0] == 404
-    served.photographs.announce(
-        Frame(
-            time_s=0.0,
-            path="frames/1.jpg",
-            run="bean",
-            sha256=sha256,
-            bytes=len(data),
-            width_px=10,
-            height_px=10,
-            light="left",
-            flash_confirmed=True,
-            exposure_ok=True,
-        )
-    )
+    served.photographs.announce(announced("frames/1.jpg", data, 1))
     status, headers, body = served.get(f"/photographs/{sha256}")
     assert (status, headers["content-type"], body) == (200, "image/jpeg", data)
     for path in ("/photographs/..%2f..%2fetc%2fpasswd", "/photographs/", "/photographs/" + 64 * "z"):
