@@ -241,7 +241,7 @@ class Explainer:
             place = 0 if own.gain > slow else 1
             if own.gain > 0.0:
                 tried.insert(place, own)
-        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
+        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
         own_swing = found.tried[0].swing
         if own_swing is not None and found.has_no_name(self.nameless):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
@@ -256,7 +256,7 @@ class Explainer:
 
     def _unnamed_beside(self, swing: Swing, before: Found) -> Unnamed | None:
         joint = self._joint(swing)
-        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)[0]
+        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""
@@ -284,7 +284,7 @@ class Explainer:
         for i, scene in enumerate(self.scenes):
             rest, moved = spectra_of(scene, before, i)
             left.append(rest)
-            expected.append(self.known.swings.expected(moved))
+            expected.append(self.known.swings.expectations(moved))
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
