@@ -174,7 +174,7 @@ class Explainer:
                 swing = best.swing
                 joint = self._joint(swing)
                 null = joint.fit(_side_by_side(alone), 12)
-                found = joint.fit(_started(found), 12)
+                found = self._pruned(joint, joint.fit(_started(found), 12), accepted)
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
                 self._answer(found)
@@ -236,11 +236,11 @@ class Explainer:
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
-            # A cause that makes fast errors vanish, too, explains what a swing only describes.
-            slow = max((t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0)
-            place = 0 if own.gain > slow else 1
             if own.gain > 0.0:
-                tried.insert(place, own)
+                # A swing explains something of the hours' means, too, and a cause may make fast errors vanish.
+                slow = max((t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0)
+                own = replace(own, gain=own.gain + max(0.0, self._slower(joint, before, own)))
+                tried.insert(0 if own.gain > slow else 1, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
         own_swing = found.tried[0].swing
         if own_swing is not None and found.has_no_name(self.nameless):
@@ -298,6 +298,11 @@ class Explainer:
                 rest, moved = spectra_of(scene, found, i)
                 total += sign * rhythm.improbability(rest, self.known.swings.expected(moved))
         return total
+
+    def _slower(self, joint: Joint, before: Found, own: Tried) -> float:
+        """Nats by which hours' means are more probable if the tip swings, than as they are before it."""
+        beside = self._joint(own.swing)
+        return beside.probability(beside.fit(_started(before), 12)) - joint.probability(before)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
