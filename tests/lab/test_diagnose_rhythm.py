@@ -11,7 +11,7 @@ from diagnose_runs import red_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flora_lab.diagnose.explain import CLAIM
+from flora_lab.diagnose.explanation import CLAIM
 from flora_lab.diagnose.rhythm import (
     BAND_H,
     Spectrum,

@@ -12,7 +12,8 @@ from diagnose_runs import base, known, scene_of, scenes_of, stem, still, turns
 
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
-from flora_lab.diagnose.explain import Explainer, Explanation
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
 from flora_lab.diagnose.scene import Lanes

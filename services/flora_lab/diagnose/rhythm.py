@@ -150,8 +150,13 @@ def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Swings:
 
 
 def improbability(own: Spectrum, expected: Array) -> float:
-    """Whittle's: minus the logarithm of how probable a spectrum is, up to a constant."""
-    return -float(_probability(own, expected))
+    """Whittle's: minus the logarithm of how probable a spectrum is, up to a constant.
+
+    Args:
+        own: the spectrum.
+        expected: shape (n,), or (k, n), of which that counts under which it is most probable.
+    """
+    return -float(_probability(own, expected).max())
 
 
 def _probability(own: Spectrum, expected: Array) -> Array:
@@ -174,7 +179,7 @@ def best_swing(
     kinds = list(itertools.product(COHERENCE_H, _OVERTONES))
     likelihood = np.zeros((len(kinds), len(tried), len(_AMPLITUDES_CM)))
     for own, expected in zip(spectra, expectations, strict=True):
-        without = _probability(own, expected).max()
+        without = -improbability(own, expected)
         for c, (coherence_h, overtone) in enumerate(kinds):
             line = _line(own, tried, coherence_h) + overtone * _line(own, 2.0 * tried, coherence_h)
             for a, amplitude in enumerate(_AMPLITUDES_CM):
