@@ -21,8 +21,10 @@ from flora_common.vision.path import spline
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.spline import Smoother, Spline
+from flora_common.vision.path.survey import median
 
 BoolArray = npt.NDArray[np.bool_]
+Places = npt.NDArray[np.float32] | FloatArray
 
 STEP_PX: Final = 1.5
 KNOT_CM: Final = 0.8
@@ -71,27 +73,32 @@ class Stem:
 
 
 class Sampler:
-    """Values of the evidence at places of the full picture, linear between pixels, 0 outside."""
+    """Values of the evidence at places of the full picture, linear between pixels, 0 outside.
+
+    Attributes:
+        least: what has less evidence than this was taken for noise.
+    """
 
     def __init__(self, evidence: Evidence) -> None:
+        self.least = evidence.least
         self._plant, self._tone = evidence.plant, evidence.tone
         green, red = evidence.code[..., 1], evidence.code[..., 2]
         self._green = np.asarray(cv2.subtract(green, red, dtype=cv2.CV_32F), dtype=np.float32)
         self._origin = np.array(evidence.origin_px, dtype=np.float32)
 
-    def plant(self, places: FloatArray) -> FloatArray:
+    def plant(self, places: Places) -> FloatArray:
         """Evidence of plant at places (..., 2)."""
         return self._at(self._plant, places)
 
-    def tone(self, places: FloatArray) -> FloatArray:
+    def tone(self, places: Places) -> FloatArray:
         """Brightness at places (..., 2)."""
         return self._at(self._tone, places)
 
-    def green(self, places: FloatArray) -> FloatArray:
+    def green(self, places: Places) -> FloatArray:
         """How much greener than red it is at places (..., 2)."""
         return self._at(self._green, places)
 
-    def _at(self, values: npt.NDArray[np.float32], places: FloatArray) -> FloatArray:
+    def _at(self, values: npt.NDArray[np.float32], places: Places) -> FloatArray:
         count = places.size // 2
         if count == 0:
             return np.zeros(places.shape[:-1])
@@ -255,10 +262,11 @@ def _model_width(s: FloatArray, found: _Across, before: FloatArray) -> FloatArra
     for _ in range(2):
         from_middle = at - at.mean()
         slope = min(0.0, float(from_middle @ w) / max(1e-9, float(from_middle @ from_middle)))
-        off = np.abs(w - slope * at - np.median(w - slope * at))
-        near = off <= max(0.5, 2.0 * float(np.median(off)))
+        levels = w - slope * at
+        off = np.abs(levels - median(levels))
+        near = off <= max(0.5, 2.0 * float(median(off)))
         at, w = at[near], w[near]
-    level = float(np.median(w - slope * at))
+    level = float(median(w - slope * at))
     return np.asarray(np.maximum(level + slope * s, 0.45 * level), dtype=np.float64)
 
 
@@ -266,7 +274,7 @@ def _robust(smoother: Smoother, places: FloatArray, weights: FloatArray) -> Spli
     """Fit twice: what lies far off for its error counts less the second time (Huber's weights)."""
     first = smoother.places(smoother.fit(places, weights))
     off = np.hypot(*(first - places).T) * np.sqrt(weights)
-    scale = max(1.0, 1.5 * float(np.median(off[weights > 0])))
+    scale = max(1.0, 1.5 * float(median(off[weights > 0])))
     return smoother.fit(places, weights * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-9)))
 
 
@@ -295,7 +303,7 @@ def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampl
     normal = normals(line)
     reach = 1.6 * float(width.max()) + 2.0
     offset = np.arange(-reach, reach + 0.25, 0.5)
-    places = line[:, None, :] + offset[None, :, None] * normal[:, None, :]
+    places = (line[:, None, :] + offset[None, :, None] * normal[:, None, :]).astype(np.float32)
     left, right, there = _edges(sampler.plant(places), offset)
     half = 0.5 * width
     # each edge by itself says where the middle is; beside a leaf only one of them is the stem's
