@@ -235,7 +235,7 @@ def plant_score(difference: Float32Array) -> Float32Array:
     """
     # one plane at a time: taking three apart takes longer than all the rest
     bright, green, yellow = (cv2.transform(difference, axis) for axis in _AXES[:, None])
-    bright = cv2.max(bright, cv2.multiply(bright, -DARK_WEIGHT))
+    bright = cv2.max(bright, -DARK_WEIGHT * np.asarray(bright, dtype=np.float32))
     return np.asarray(cv2.magnitude(cv2.magnitude(bright, green), yellow), dtype=np.float32)
 
 
