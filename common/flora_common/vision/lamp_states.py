@@ -247,4 +247,5 @@ def _mean_size(small: Int16Array, other: Int16Array) -> float:
     difference = small - other
     some = np.sort(difference[:, ::2], axis=1)
     difference -= some[:, some.shape[1] // 2, None]
-    return float(np.minimum(np.abs(difference), 8 * 24).mean()) / 8.0
+    # numpy sums small integers faster than it takes their mean
+    return int(np.minimum(np.abs(difference), 8 * 24).sum(dtype=np.int64)) / (8.0 * difference.size)
