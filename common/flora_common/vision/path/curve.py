@@ -299,11 +299,12 @@ class _Across:
 
 
 def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampler, apex_from: float) -> _Across:
-    """The stem's middle at each s by its edges or by a ridge."""
-    normal = normals(line)
+    """The stem's middle at each s up to ``apex_from`` by its edges or by a ridge."""
+    upto = int(np.searchsorted(s, apex_from, side="right"))
+    some, normal, width = line[:upto], normals(line)[:upto], width[:upto]
     reach = 1.6 * float(width.max()) + 2.0
     offset = np.arange(-reach, reach + 0.25, 0.5)
-    places = (line[:, None, :] + offset[None, :, None] * normal[:, None, :]).astype(np.float32)
+    places = (some[:, None, :] + offset[None, :, None] * normal[:, None, :]).astype(np.float32)
     left, right, there = _edges(sampler.plant(places), offset)
     half = 0.5 * width
     # each edge by itself says where the middle is; beside a leaf only one of them is the stem's
@@ -311,7 +312,7 @@ def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampl
     nearer = np.where(np.abs(by_left) < np.abs(by_right), by_left, by_right)
     clean = there & (np.abs(by_left - by_right) < AGREE * width + 0.4) & (np.abs(left + right) < 1.5 * width + 2.0)
     one_edge = there & (np.abs(nearer) < 0.35 * width + 0.5)
-    by_ridge, ridge = np.zeros(len(line)), np.zeros(len(line), dtype=np.bool_)
+    by_ridge, ridge = np.zeros(upto), np.zeros(upto, dtype=np.bool_)
     rest = np.flatnonzero(~clean)
     if rest.size:
         by_ridge[rest], ridge[rest] = _ridge(sampler.tone(places[rest]), offset, width[rest])
@@ -319,9 +320,14 @@ def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampl
     one_edge &= ~ridge
     middle = np.where(clean, 0.5 * (left + right), np.where(one_edge, nearer, by_ridge))
     error = np.where(clean, EDGE_ERROR_PX, np.where(one_edge, ONE_EDGE_ERROR_PX, RIDGE_ERROR_PX))
-    below = s <= apex_from
-    seen = (clean | one_edge | ridge) & below
-    return _Across(line + middle[:, None] * normal, error, right - left, seen, clean & below)
+    more = (0, len(line) - upto)
+    return _Across(
+        np.concatenate([some + middle[:, None] * normal, line[upto:]]),
+        np.pad(error, more, constant_values=EDGE_ERROR_PX),
+        np.pad(right - left, more),
+        np.pad(clean | one_edge | ridge, more),
+        np.pad(clean, more),
+    )
 
 
 def _edges(plant: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -350,7 +356,8 @@ def _ridge(tone: FloatArray, offset: FloatArray, width: FloatArray) -> tuple[Flo
     total = np.concatenate([np.zeros((len(tone), 1)), np.cumsum(tone, axis=1)], axis=1)
     half = np.maximum(1, np.rint(0.5 * width / step).astype(int))[:, None]
     side = np.maximum(1, np.rint(0.4 * width / step).astype(int))[:, None]
-    centre = np.arange(tone.shape[1])[None, :]
+    most = 0.6 * width + 0.5
+    centre = np.flatnonzero(np.abs(offset) <= most.max())[None, :]
 
     def mean(low: npt.NDArray[np.intp], high: npt.NDArray[np.intp]) -> FloatArray:
         a, b = np.clip(low, 0, tone.shape[1]), np.clip(high, 0, tone.shape[1])
@@ -361,11 +368,11 @@ def _ridge(tone: FloatArray, offset: FloatArray, width: FloatArray) -> tuple[Flo
     left, right = mean(centre - half - side, centre - half), mean(centre + half + 1, centre + half + side + 1)
     up, down = inner - np.maximum(left, right), np.minimum(left, right) - inner
     stands = np.maximum(up, down)
-    stands[np.abs(np.broadcast_to(offset[None, :], stands.shape)) > 0.6 * width[:, None] + 0.5] = -np.inf
+    stands[np.abs(offset[centre]) > most[:, None]] = -np.inf
     best = np.argmax(stands, axis=1)
     rows = np.arange(len(tone))
     clear = stands[rows, best] > RIDGE_LEAST
-    return offset[best], np.asarray(clear)
+    return offset[centre[0, best]], np.asarray(clear)
 
 
 RIDGE_LEAST: Final = 8.0
