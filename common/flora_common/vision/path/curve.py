@@ -24,7 +24,6 @@ from flora_common.vision.path.spline import Smoother, Spline
 from flora_common.vision.path.survey import median
 
 BoolArray = npt.NDArray[np.bool_]
-Places = npt.NDArray[np.float32] | FloatArray
 
 STEP_PX: Final = 1.5
 KNOT_CM: Final = 0.8
@@ -84,31 +83,39 @@ class Sampler:
         self._plant, self._tone = evidence.plant, evidence.tone
         green, red = evidence.code[..., 1], evidence.code[..., 2]
         self._green = np.asarray(cv2.subtract(green, red, dtype=cv2.CV_32F), dtype=np.float32)
-        self._origin = np.array(evidence.origin_px, dtype=np.float32)
+        self._origin = np.array(evidence.origin_px, dtype=np.float64)
 
-    def plant(self, places: Places) -> FloatArray:
+    def plant(self, places: FloatArray) -> FloatArray:
         """Evidence of plant at places (..., 2)."""
-        return self._at(self._plant, places)
+        return self.plant_at(places[..., 0], places[..., 1])
 
-    def tone(self, places: Places) -> FloatArray:
+    def plant_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """The same at places whose coordinates are apart, which takes half as long for many."""
+        return self._at(self._plant, x, y)
+
+    def tone(self, places: FloatArray) -> FloatArray:
         """Brightness at places (..., 2)."""
-        return self._at(self._tone, places)
+        return self.tone_at(places[..., 0], places[..., 1])
 
-    def green(self, places: Places) -> FloatArray:
+    def tone_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """The same at places whose coordinates are apart."""
+        return self._at(self._tone, x, y)
+
+    def green(self, places: FloatArray) -> FloatArray:
         """How much greener than red it is at places (..., 2)."""
-        return self._at(self._green, places)
+        return self._at(self._green, places[..., 0], places[..., 1])
 
-    def _at(self, values: npt.NDArray[np.float32], places: Places) -> FloatArray:
-        count = places.size // 2
-        if count == 0:
-            return np.zeros(places.shape[:-1])
+    def _at(self, values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray) -> FloatArray:
+        if x.size == 0:
+            return np.zeros(x.shape)
         # OpenCV takes no picture of places with more than 32767 rows or columns
-        columns = min(count, ROW_PX)
-        xy = np.zeros((2, -(-count // columns) * columns), np.float32)
-        np.subtract(places.reshape(-1, 2).T, self._origin[:, None], out=xy[:, :count], casting="same_kind")
-        x, y = xy.reshape(2, -1, columns)
-        found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        return np.asarray(found.ravel()[:count], dtype=np.float64).reshape(places.shape[:-1])
+        columns = min(x.size, ROW_PX)
+        maps = np.zeros((2, -(-x.size // columns) * columns), np.float32)
+        for one, v, origin in zip(maps, (x, y), self._origin, strict=True):
+            np.subtract(v.ravel(), origin, out=one[: x.size], casting="same_kind")
+        right, down = maps.reshape(2, -1, columns)
+        found = cv2.remap(values, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return np.asarray(found.ravel()[: x.size], dtype=np.float64).reshape(x.shape)
 
 
 def along_chain(chain: Chain, sampler: Sampler, px_per_cm: float) -> Stem:
@@ -304,8 +311,8 @@ def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampl
     some, normal, width = line[:upto], normals(line)[:upto], width[:upto]
     reach = 1.6 * float(width.max()) + 2.0
     offset = np.arange(-reach, reach + 0.25, 0.5)
-    places = (some[:, None, :] + offset[None, :, None] * normal[:, None, :]).astype(np.float32)
-    left, right, there = _edges(sampler.plant(places), offset)
+    x, y = (some[:, k, None] + offset * normal[:, k, None] for k in range(2))
+    left, right, there = _edges(sampler.plant_at(x, y), offset)
     half = 0.5 * width
     # each edge by itself says where the middle is; beside a leaf only one of them is the stem's
     by_left, by_right = left + half, right - half
@@ -315,7 +322,7 @@ def _measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sampl
     by_ridge, ridge = np.zeros(upto), np.zeros(upto, dtype=np.bool_)
     rest = np.flatnonzero(~clean)
     if rest.size:
-        by_ridge[rest], ridge[rest] = _ridge(sampler.tone(places[rest]), offset, width[rest])
+        by_ridge[rest], ridge[rest] = _ridge(sampler.tone_at(x[rest], y[rest]), offset, width[rest])
     # a ridge is the stem itself; a single edge may be that of a leaf which covers it
     one_edge &= ~ridge
     middle = np.where(clean, 0.5 * (left + right), np.where(one_edge, nearer, by_ridge))

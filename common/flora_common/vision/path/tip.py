@@ -280,9 +280,9 @@ def _gain(
     And the evidence of plant there.
     """
     # across first: sums over a short last axis take long
-    offset = (ACROSS_WIDTHS * max(width, 2.0))[:, None, None, None]
-    places = (arcs + offset * side).astype(np.float32)
-    plant = sampler.plant(places)
+    offset = (ACROSS_WIDTHS * max(width, 2.0))[:, None, None]
+    x, y = (arcs[..., k] + offset * side[..., k] for k in range(2))
+    plant = sampler.plant_at(x, y)
     inside = (plant[2] + plant[3] + plant[4]) / 3.0
     least = 0.8 * inside
     left, right = plant[0] + plant[1] < least, plant[5] + plant[6] < least
@@ -291,7 +291,7 @@ def _gain(
     gain[clean] = BOTH_SIDES
     # two clean edges are worth more than any band on a leaf
     rest = np.flatnonzero(~clean)
-    tone = sampler.tone(places.reshape(len(places), -1, 2)[:, rest])
+    tone = sampler.tone_at(*(v.reshape(len(offset), -1)[:, rest] for v in (x, y)))
     middle, before, behind = (tone[2] + tone[3] + tone[4]) / 3.0, 0.5 * (tone[0] + tone[1]), 0.5 * (tone[5] + tone[6])
     ridge = np.maximum(middle - np.maximum(before, behind), np.minimum(before, behind) - middle)
     on_leaf = np.clip(ridge / CLEAR_RIDGE, 0.0, 1.0) * (ON_LEAF + HIDDEN_COST) - HIDDEN_COST
