@@ -151,6 +151,9 @@ def test_a_stem_that_was_seen_before_is_known_behind_a_large_leaf() -> None:
     reading = one.read(behind_leaf(line, 3.2), 300.0)
     assert reading.outcome == OK
     assert tip_error_mm(reading, line) < 3.0
+    assert one.memory is not None
+    assert one.memory.near is not None
+    assert one.memory.near.looks == 0, "nor is it known less well than before"
 
 
 @pytest.mark.parametrize(("noise", "outcome"), [(0.0, OK), (12.0, OCCLUDED)])
