@@ -129,7 +129,7 @@ def _best_at_work(evolution: Evolution, pictures: Pictures) -> list[str]:
 def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
     extinct = int(evolution.history.is_extinct.sum())
     times = "once" if extinct == 1 else f"{extinct} times"
-    again = f" All species stagnated, and a new population began, {times}." if extinct else ""
+    again = f" No species came further, and a new population began, {times}." if extinct else ""
     return [
         html_page.section("Fitness over generations"),
         html_page.picture(
