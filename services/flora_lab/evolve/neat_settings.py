@@ -91,10 +91,14 @@ class NeatSettings:
 
     @property
     def text(self) -> str:
-        """All settings as the text of a file: the same text for the same settings, however they were given."""
+        """All settings as the text of a file: the same text for the same settings, however they were given.
+
+        Without ``[Restart]`` where populations are never left: evolutions begun before it existed go on.
+        """
         return "\n".join(
             f"[{section}]\n" + "".join(f"{key} = {values[key]}\n" for key in sorted(values))
             for section, values in sorted(self.sections.items())
+            if section != RESTART or self.restart.after > 0
         )
 
     def config(self, types: NeatTypes = STOCK) -> Any:
