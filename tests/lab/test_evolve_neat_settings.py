@@ -53,7 +53,8 @@ def test_settings_that_come_with_flora_have_names(tmp_path: Path, monkeypatch: p
     assert sparse.restart.after > 0
     assert settings_named(None).text == load_settings().text != settings_named("sparse").text
     assert settings_named(None).restart.after == 0
-    assert "[Restart]" in sparse.text and "[Restart]" not in load_settings().text
+    assert "[Restart]" in sparse.text
+    assert "[Restart]" not in load_settings().text
 
     monkeypatch.chdir(tmp_path)
     Path("sparse").write_text("[NEAT]\npop_size = 7\n", encoding="utf-8")
