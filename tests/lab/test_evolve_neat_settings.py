@@ -61,6 +61,8 @@ def test_settings_that_come_with_flora_have_names(tmp_path: Path, monkeypatch: p
     assert settings_named("sparse").population == 150
     assert settings_named("./sparse").population == 7
     assert {path.parent for path in NAMED.values()} == {SETTINGS_FILE.parent}
+    with pytest.raises(BadInput, match=r"--neat spars: neither .* nor a file; did you mean `sparse`\?"):
+        settings_named("spars")
 
 
 @pytest.mark.parametrize(

@@ -155,9 +155,12 @@ def settings_named(name: str | None, *, population: int | None = None) -> NeatSe
     """Settings by a name of :data:`NAMED`, or from a file; one that is called like them is given as ``./NAME``.
 
     Raises:
-        BadInput: see :func:`load_settings`.
+        BadInput: neither is there, or see :func:`load_settings`.
     """
-    return load_settings(None if name is None else NAMED.get(name, Path(name)), population=population)
+    path = None if name is None else NAMED.get(name, Path(name))
+    if path is not None and not path.exists():
+        raise BadInput(f"--neat {name}: neither flora's own nor a file{did_you_mean(path.name, NAMED)}")
+    return load_settings(path, population=population)
 
 
 def _parsed(path: Path) -> dict[str, dict[str, str]]:
