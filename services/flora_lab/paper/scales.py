@@ -90,7 +90,7 @@ SMALL: Final = Scale(
     own_epochs=None,
     in_paper=Evolving(6, 150, 150),
     in_own=Evolving(6, 80, 150, neat="sparse"),
-    for_reality=Evolving(2, 25, 150, individuals=4),
+    for_reality=Evolving(2, 25, 150, individuals=4, neat="sparse"),
     plants=1,
     reality_hours=72.0,
 )
@@ -105,7 +105,7 @@ FULL: Final = Scale(
     own_epochs=None,
     in_paper=Evolving(20, 1000, 150),
     in_own=Evolving(20, 400, 150, neat="sparse"),
-    for_reality=Evolving(2, 80, 150, individuals=8),
+    for_reality=Evolving(4, 60, 150, individuals=8, neat="sparse"),
     plants=3,
     reality_hours=72.0,
 )
