@@ -116,8 +116,6 @@ def _evolution(asked: Asked, side: Side, task: Task, size: Evolving, quiet: tupl
         "--seed": asked.seed,
     }
     words = [text for name, value in sizes.items() for text in (name, str(value))]
-    if size.judge != "mean":
-        words += ["--judge", size.judge]
     if size.neat is not None:
         words += ["--neat", size.neat]
     return Step(

@@ -21,7 +21,6 @@ class Evolving:
         runs, generations, population: of NEAT.
         individuals: drawn plants that each controller is tried on; 0 for the typical one, as in the paper.
         neat: name of NEAT's settings; None for those nearest to the paper's.
-        judge: what counts over drawn plants.
     """
 
     runs: int
@@ -29,7 +28,6 @@ class Evolving:
     population: int
     individuals: int = 0
     neat: str | None = None
-    judge: Literal["mean", "worst"] = "mean"
 
 
 @dataclass(frozen=True, slots=True)
