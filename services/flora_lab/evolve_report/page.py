@@ -36,7 +36,9 @@ def page(evolution: Evolution, pictures: Pictures) -> str:
         *_best_at_work(evolution, pictures),
         *_over_generations(evolution, pictures),
         html_page.section("Runs"),
-        html_page.paragraph("The champion of each run, the best run first; `generation` is where it came up."),
+        html_page.paragraph(
+            f"The champion of each run, the best run first{_chosen_by(evolution)}; `generation` is where it came up."
+        ),
         tables.runs(evolution),
         html_page.section("What was asked"),
         html_page.picture(
@@ -124,6 +126,11 @@ def _best_at_work(evolution: Evolution, pictures: Pictures) -> list[str]:
             "greater its weight; inputs in grey are not read. Links that are disabled are left out.",
         ),
     ]
+
+
+def _chosen_by(evolution: Evolution) -> str:
+    others = evolution.info.individuals.held_out
+    return f" on {others} other plants, which nothing was evolved on" if others else ""
 
 
 def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
