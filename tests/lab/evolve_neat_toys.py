@@ -49,7 +49,9 @@ def settings_with(folder: Path, *, population: int = 60, **changes: object) -> N
     sections: dict[str, list[str]] = {}
     for name, value in changes.items():
         section, _, key = name.partition("__")
-        sections.setdefault(section if section == "NEAT" else f"Default{section}", []).append(f"{key} = {value}")
+        sections.setdefault(section if section in ("NEAT", "Restart") else f"Default{section}", []).append(
+            f"{key} = {value}"
+        )
     path = folder / "changed.cfg"
     path.write_text("\n".join(f"[{name}]\n" + "\n".join(lines) for name, lines in sections.items()), encoding="utf-8")
     return load_settings(path, population=population)

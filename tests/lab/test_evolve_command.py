@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 from evolution_examples import GENERATIONS, POPULATION, RUNS, TASK, contents, write_rod, write_task
+from msgspec import structs
 
 from flora_common.controller_file import load_controller
 from flora_common.runs import LampsSection
 from flora_lab.evolve import plan
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import run_episodes
-from flora_lab.evolve.evolution_folder import read_evolution
-from flora_lab.evolve.individuals import Individuals
+from flora_lab.evolve.evolution_folder import read_evolution, standing
+from flora_lab.evolve.individuals import HELD_OUT, Individuals
 from flora_lab.evolve.kept_runs import kept_path
 from flora_lab.evolve.reach import reach
 from flora_lab.main import main
@@ -138,6 +139,35 @@ def test_champions_do_in_the_simulator_what_is_told_of_them(evolved: Path, simul
         assert len(episode.is_right) == len(episode.stems_cm) - 1 <= TASK.most_steps
 
 
+def test_the_best_on_drawn_plants_is_chosen_by_plants_that_nothing_was_evolved_on(
+    simulator: Path, task: Path, tmp_path: Path, capsys: Any
+) -> None:
+    assert main(arguments(simulator, task, tmp_path / "e", "--individuals", "2")) == 0
+    assert f"of the best on {HELD_OUT} plants that nothing was evolved on" in capsys.readouterr().out
+    evolution = read_evolution(tmp_path / "e")
+    info = evolution.info
+    seeds = Individuals(2 + HELD_OUT).seeds()
+    assert seeds is not None
+
+    champions = [FromFile(load_controller(path)) for path in evolution.controllers]
+    fitness = run_episodes(champions, load(simulator), TASK, seeds).fitness.mean(axis=1)
+
+    told = [run.held_out_fitness for run in info.run]
+    assert np.abs(fitness[:, 2:].mean(axis=1) - np.array(told, dtype=float)).max() < 1e-12
+    assert np.abs(fitness[:, :2].mean(axis=1) - [run.best_fitness for run in info.run]).max() < 1e-12
+    assert info.best_run == 1 + told.index(max(told, key=float))
+    assert info.individuals.held_out == HELD_OUT
+    assert load_controller(evolution.best).file.provenance["fitness_held_out"] == max(told, key=float)
+
+
+def test_runs_are_ranked_by_held_out_fitness_where_there_is_one(evolved: Path) -> None:
+    run = read_evolution(evolved).info.run[0]
+
+    assert run.held_out_fitness is None
+    assert standing(run) == run.best_fitness
+    assert standing(structs.replace(run, best_fitness=0.9, held_out_fitness=0.4)) == 0.4
+
+
 def test_champions_say_where_they_are_from(evolved: Path, simulator: Path) -> None:
     info = read_evolution(evolved).info
     for number, run in enumerate(info.run, start=1):
@@ -229,7 +259,7 @@ def test_an_evolution_is_replaced_only_with_force(simulator: Path, task: Path, e
         (["--population", "1"], "a population needs 2 genomes or more"),
         (["--task", "lift"], "neither a built-in task"),
         (["--jobs", "2", "--cluster", "auto"], "leave one of them out"),
-        (["--neat", "nowhere.cfg"], "nowhere.cfg: cannot be read"),
+        (["--neat", "nowhere.cfg"], "--neat nowhere.cfg: neither flora's own nor a file"),
         (["--runs", "0"], "--runs"),
         (["--judge", "best"], "--judge"),
     ],

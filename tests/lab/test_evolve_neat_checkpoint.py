@@ -85,6 +85,22 @@ def test_through_extinctions(tmp_path: Path) -> None:
     assert encode(kept) == encode(read)
 
 
+def test_through_restarts(tmp_path: Path) -> None:
+    settings = settings_with(
+        tmp_path, Restart__restart_after=3, Restart__restart_after_best=5, Restart__restart_gain=1.0
+    )
+    kept, read = NeatEngine(settings, 5), NeatEngine(settings, 5)
+    restarts = 0
+    for _ in range(GENERATIONS):
+        restarts += kept.generation(toy_fitness).is_extinct
+        read.generation(toy_fitness)
+        read = engine_from(decode(encode(read)), settings)
+
+    assert restarts > 1
+    assert encode(kept) == encode(read)
+    assert everything_of(kept) == everything_of(read)
+
+
 def test_saved_with_the_fast_classes_and_read_with_neat_pythons_own() -> None:
     engine = engine_from(decode(encode(straight(10))), SETTINGS, STOCK)
     assert engine.types is STOCK

@@ -161,3 +161,30 @@ def test_a_counter_counts_as_itertools_does() -> None:
     counter = Counter(5)
 
     assert [next(counter), next(counter), counter.following, next(counter)] == [5, 6, 7, 7]
+
+
+def test_a_population_that_comes_no_further_is_left_for_a_new_one_and_its_best_stays_known(tmp_path: Path) -> None:
+    settings = settings_with(
+        tmp_path, Restart__restart_after=2, Restart__restart_after_best=4, Restart__restart_gain=0.1
+    )
+    engine = NeatEngine(settings, 3)
+    course = iter([5.0, 5.05, 5.1, 5.1, 5.1, 3.0, 4.0, 4.0, 4.1, 6.0, 6.0])
+    begun_anew = []
+    for level in course:
+        before = {genome.key for genome in engine.genomes}
+        told = engine.generation(lambda genomes, level=level: [level] * len(genomes))
+        if told.is_extinct:
+            begun_anew.append(told.number)
+            assert not before & {genome.key for genome in engine.genomes}
+            assert len(engine.genomes) == settings.population
+
+    # The first holds the run's best, and 5.1 is not more than 0.1 above 5.0: four generations from the first on. The
+    # second has two from its 4.0 on; the third is ahead from its first generation.
+    assert begun_anew == [4, 8]
+    assert (engine.best.fitness, engine.level, engine.level_since) == (6.0, 6.0, 9)
+
+
+def test_without_restarts_nothing_is_left(tmp_path: Path) -> None:
+    engine = NeatEngine(settings_with(tmp_path, Stagnation__max_stagnation=1000), 3)
+
+    assert not any(engine.generation(lambda genomes: [1.0] * len(genomes)).is_extinct for _ in range(60))

@@ -8,7 +8,7 @@ import pytest
 
 from flora_common.errors import BadInput
 from flora_lab.evolve.neat_fast import FAST
-from flora_lab.evolve.neat_settings import STOCK, load_settings
+from flora_lab.evolve.neat_settings import NAMED, SETTINGS_FILE, STOCK, load_settings, settings_named
 
 
 def test_those_of_the_package() -> None:
@@ -43,6 +43,26 @@ def test_the_same_settings_are_the_same_text(tmp_path: Path) -> None:
     path.write_text("[DefaultGenome]\nweight_max_value = 8\n[NEAT]\npop_size=40\n", encoding="utf-8")
 
     assert load_settings(path).text == load_settings(population=40).text != load_settings().text
+
+
+def test_settings_that_come_with_flora_have_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sparse = settings_named("sparse", population=40)
+
+    assert sparse.population == 40
+    assert sparse.sections["DefaultGenome"]["initial_connection"] == "fs_neat_nohidden"
+    assert sparse.restart.after > 0
+    assert settings_named(None).text == load_settings().text != settings_named("sparse").text
+    assert settings_named(None).restart.after == 0
+    assert "[Restart]" in sparse.text
+    assert "[Restart]" not in load_settings().text
+
+    monkeypatch.chdir(tmp_path)
+    Path("sparse").write_text("[NEAT]\npop_size = 7\n", encoding="utf-8")
+    assert settings_named("sparse").population == 150
+    assert settings_named("./sparse").population == 7
+    assert {path.parent for path in NAMED.values()} == {SETTINGS_FILE.parent}
+    with pytest.raises(BadInput, match=r"--neat spars: neither .* nor a file; did you mean `sparse`\?"):
+        settings_named("spars")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from evolution_fakes import Fake, read_fake, renamed, write_fake
 from html_reader import Reader
+from msgspec import structs
 
 from flora_common.errors import BadInput
 from flora_lab.evolve.evolution_folder import BEST_FILE, PICTURES, REPORT_FILE, read_evolution
@@ -95,6 +97,22 @@ def test_runs_are_told_the_best_first(tmp_path: Path) -> None:
 
     by_fitness = sorted(evolution.info.run, key=lambda run: -run.best_fitness)
     assert files == [BEST_FILE, *(run.controller for run in by_fitness)]
+
+
+def test_runs_on_drawn_plants_are_ranked_by_other_plants(tmp_path: Path) -> None:
+    evolution = read_fake(tmp_path / "e", Fake(runs=6, generations=8))
+    assert "nothing was evolved on" not in Reader(page(evolution, BLANK)).text
+    others = [0.3, 0.6, 0.2, 0.5, 0.4, 0.1]
+    runs = [structs.replace(run, held_out_fitness=x) for run, x in zip(evolution.info.run, others, strict=True)]
+    drawn = structs.replace(evolution.info.individuals, count=8, held_out=24)
+    evolution = replace(evolution, info=structs.replace(evolution.info, run=runs, individuals=drawn))
+
+    reader = Reader(page(evolution, BLANK))
+
+    assert "the best run first on 24 other plants, which nothing was evolved on" in reader.text
+    files = [cell for cell in reader.cells if cell.endswith(".controller.json")]
+    assert files[1:] == [runs[number].controller for number in (1, 3, 4, 0, 2, 5)]
+    assert {"60.0 %", "10.0 %"} <= set(reader.cells)
 
 
 def test_how_often_populations_began_anew_is_told(tmp_path: Path) -> None:

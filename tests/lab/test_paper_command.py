@@ -105,6 +105,16 @@ def test_every_command_has_the_options_that_steps_give_it(
         assert {text for text in given if text.startswith("-")} <= told, step.name
 
 
+@pytest.mark.parametrize("scale", ["small", "full"])
+def test_the_papers_recipe_keeps_the_settings_nearest_to_the_papers(scale: str) -> None:
+    steps = {step.name: step.words for step in steps_of(Asked(SCALES[scale], 1), is_silent=True)}
+
+    for task in ("left", "middle"):
+        assert "--neat" not in steps[f"evolved-{task}-paper"]
+        own = steps[f"evolved-{task}-own"]
+        assert own[own.index("--neat") + 1] == "sparse"
+
+
 def test_the_first_steps_make_runs_and_a_training_set_by_the_installed_commands(tmp_path: Path) -> None:
     steps = steps_of(Asked(SMOKE, 1), is_silent=True)[:3]
 

@@ -54,7 +54,8 @@ def evolve(
     individuals_seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Which plants are drawn.")] = 1,
     judge: Annotated[JudgeBy, typer.Option(help="What counts over drawn plants.")] = JudgeBy.MEAN,
     neat: Annotated[
-        Path | None, typer.Option(metavar="CFG", help="Settings of NEAT; names only what it changes.")
+        str | None,
+        typer.Option(metavar="CFG", help="Settings of NEAT: sparse, or a file that names only what it changes."),
     ] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Processes.  [default: one per core]", show_default=False)
@@ -82,7 +83,7 @@ def evolve(
     plan = _module("plan").Plan(
         parcel=_module("plan").parcel_of(simulator),
         task=_module("task_file").task_named(task),
-        settings=_module("neat_settings").load_settings(neat, population=population),
+        settings=_module("neat_settings").settings_named(neat, population=population),
         individuals=_module("individuals").Individuals(individuals, individuals_seed, judge.value),
         runs=runs,
         generations=generations,

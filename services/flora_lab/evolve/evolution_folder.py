@@ -6,7 +6,7 @@
     task.toml, neat.cfg       task and all settings
     history.csv               a row per run and generation
     controllers/run-01…       the champion of each run, not signed
-    best.controller.json      the best of them; the first of equals
+    best.controller.json      the best of them, on drawn plants on others than those; the first of equals
     episodes/1-NAME.csv …     its episode with the simulator's typical plant, as a track
     report.html, pictures/    to look at
 
@@ -71,15 +71,17 @@ class IndividualsEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         members: see :attr:`flora_lab.evolve.plan.Plan.members`.
+        held_out: plants that nothing was evolved on, by which the best run is chosen.
     """
 
     count: Count
     seed: Count
     judge: Judge
     members: Count = 0
+    held_out: Count = 0
 
 
-class RunEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RunEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """``[[run]]``: a run and its champion.
 
     Attributes:
@@ -92,6 +94,7 @@ class RunEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         by_scenario: its fitness in each.
         controller: file in the folder.
         sha256: of it.
+        held_out_fitness: of the champion on plants that nothing was evolved on; None where none are drawn.
     """
 
     number: Positive
@@ -104,6 +107,12 @@ class RunEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     by_scenario: list[float]
     controller: str
     sha256: str
+    held_out_fitness: float | None = None
+
+
+def standing(run: RunEntry) -> float:
+    """What runs are ranked by: fitness, on plants that nothing was evolved on where there are such."""
+    return run.best_fitness if run.held_out_fitness is None else run.held_out_fitness
 
 
 class EpisodeEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

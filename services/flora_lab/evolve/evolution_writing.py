@@ -18,8 +18,9 @@ from flora_common.runs import track_text
 from flora_common.stem_range import StemRange
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
-from flora_lab.evolve.controllers import FromFile, controller_bytes, export_of
+from flora_lab.evolve.controllers import INPUTS, FromFile, controller_bytes, export_of
 from flora_lab.evolve.episode import Course, run_episode
+from flora_lab.evolve.evaluate import evaluate
 from flora_lab.evolve.evolution_folder import (
     EpisodeEntry,
     EvolutionFile,
@@ -28,7 +29,10 @@ from flora_lab.evolve.evolution_folder import (
     RunEntry,
     SimulatorEntry,
     TookEntry,
+    standing,
 )
+from flora_lab.evolve.genome_arrays import pack
+from flora_lab.evolve.individuals import HELD_OUT
 from flora_lab.evolve.neat_checkpoint import engine_from
 from flora_lab.evolve.one_run import RunState, Took
 from flora_lab.evolve.plan import Plan
@@ -74,7 +78,21 @@ def history_of(states: Sequence[RunState]) -> History:
     )
 
 
-def champion(plan: Plan, state: RunState, stem_range: StemRange) -> Champion:
+def held_out_fitness(plan: Plan, states: Sequence[RunState]) -> list[float | None]:
+    """How each run's best genome does on drawn plants that it was not evolved on; None where no plants are drawn.
+
+    Evolution takes what is peculiar to a few plants: of two champions the one with more fitness on these may have much
+    less on others.
+    """
+    if not plan.individuals.count:
+        return [None] * len(states)
+    genomes = [engine_from(state.engine, plan.settings).best for state in states]
+    others = plan.individuals.held_out()
+    tried = evaluate(pack(genomes, len(INPUTS)), plan.parcel.simulator, plan.task, others)
+    return [float(value) for value in others.judged(tried.outcomes.fitness).mean(axis=1)]
+
+
+def champion(plan: Plan, state: RunState, stem_range: StemRange, held_out: float | None) -> Champion:
     """A run's best genome as a controller file, with where it is from, and the stems that the evolution has met."""
     engine = engine_from(state.engine, plan.settings)
     network = export_of(FeedForwardNetwork.create(engine.best, engine.config))
@@ -103,6 +121,8 @@ def champion(plan: Plan, state: RunState, stem_range: StemRange) -> Champion:
     }
     if plan.members:
         provenance["individuals_members"] = plan.members
+    if held_out is not None:
+        provenance["fitness_held_out"] = held_out
     for scenario, fitness in zip(plan.task.scenarios, row.by_scenario, strict=True):
         provenance[f"fitness {scenario.name}"] = fitness
     name = f"{plan.task.name}-{plan.seed}-{state.number:02d}"
@@ -119,6 +139,7 @@ def champion(plan: Plan, state: RunState, stem_range: StemRange) -> Champion:
         by_scenario=row.by_scenario,
         controller=file,
         sha256=files.sha256_of_bytes(data),
+        held_out_fitness=held_out,
     )
     return Champion(data, entry)
 
@@ -148,8 +169,9 @@ def write_evolution(
     """
     folder.check_output(path, force=force)
     stem_range = reach(plan.parcel.simulator, plan.task, plan.individuals)
-    champions = [champion(plan, state, stem_range) for state in states]
-    best = max(champions, key=lambda one: one.entry.best_fitness)
+    held_out = held_out_fitness(plan, states)
+    champions = [champion(plan, state, stem_range, seen) for state, seen in zip(states, held_out, strict=True)]
+    best = max(champions, key=lambda one: standing(one.entry))
     steered = FromFile(parse_controller(best.data, where=best.entry.controller))
     courses = [run_episode(steered, plan.parcel.simulator, plan.task, scenario) for scenario in plan.task.scenarios]
     info = EvolutionFile(
@@ -168,7 +190,11 @@ def write_evolution(
             plan.parcel.dataset_sha256,
         ),
         individuals=IndividualsEntry(
-            plan.individuals.count, plan.individuals.seed, plan.individuals.judge, plan.members
+            plan.individuals.count,
+            plan.individuals.seed,
+            plan.individuals.judge,
+            plan.members,
+            HELD_OUT if plan.individuals.count else 0,
         ),
         run=[one.entry for one in champions],
         episode=[episode_entry(place, course) for place, course in enumerate(courses)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 
 Judge = Literal["mean", "worst"]
+
+HELD_OUT: Final = 24
+"""Plants that no controller was evolved on, by which the best of all runs is chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +24,7 @@ class Individuals:
         count: plants; 0 is the typical plant alone, to which nothing happens by chance.
         seed: which plants are drawn. More plants from the same seed are the same ones and some more.
         judge: a controller's fitness in a scenario is the mean over plants, or that of the worst.
+        skipped: plants of the seed that are left out before these.
 
     Raises:
         BadInput: fewer than no plants, or a seed below 0.
@@ -29,6 +33,7 @@ class Individuals:
     count: int = 0
     seed: int = 1
     judge: Judge = "mean"
+    skipped: int = 0
 
     def __post_init__(self) -> None:
         if self.count < 0 or self.seed < 0:
@@ -38,8 +43,14 @@ class Individuals:
         """For :class:`flora_lab.simulator.interface.Chance`, one per plant; None for the typical plant."""
         if self.count == 0:
             return None
-        drawn = np.random.SeedSequence(self.seed).generate_state(self.count, np.uint64)
-        return [int(seed) for seed in drawn >> np.uint64(1)]  # below 2**63, so that they fit a signed integer
+        drawn = np.random.SeedSequence(self.seed).generate_state(self.skipped + self.count, np.uint64)
+        return [
+            int(seed) for seed in drawn[self.skipped :] >> np.uint64(1)
+        ]  # below 2**63, so that they fit a signed integer
+
+    def held_out(self) -> Individuals:
+        """:data:`HELD_OUT` others from the same seed; what counts over them is the mean."""
+        return Individuals(HELD_OUT, self.seed, "mean", self.skipped + self.count)
 
     def judged(self, fitness: FloatArray) -> FloatArray:
         """Fitness by plants, shape (..., plants), as one number for each of the others."""

@@ -8,6 +8,7 @@ genes and genomes decides which random number goes where. Saving draws nothing a
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import random
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -93,6 +94,7 @@ class EngineState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         random: the state of the engine's randomness.
         population, species: in their order.
         best: the fittest genome so far.
+        level, level_since: see :class:`flora_lab.evolve.neat_engine.NeatEngine`; none before the first fitness.
     """
 
     neat_python: str
@@ -107,6 +109,8 @@ class EngineState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     population: list[GenomeState]
     species: list[SpeciesState]
     best: GenomeState | None
+    level: float | None = None
+    level_since: Count = 0
 
 
 def state_of(engine: NeatEngine) -> EngineState:
@@ -137,6 +141,8 @@ def state_of(engine: NeatEngine) -> EngineState:
             for species in engine.species.species.values()
         ],
         best=None if engine.best is None else _genome_state(engine.best),
+        level=engine.level if math.isfinite(engine.level) else None,
+        level_since=engine.level_since,
     )
 
 
@@ -169,6 +175,7 @@ def engine_from(state: EngineState, settings: NeatSettings, types: NeatTypes = F
     engine.species.indexer = Counter(state.next_species)
     engine.reproduction.innovation_tracker.global_counter = state.innovations
     engine.population = {genome.key: _genome(genome, engine.config) for genome in state.population}
+    engine.level, engine.level_since = -math.inf if state.level is None else state.level, state.level_since
     if state.best is not None:
         engine.best = _genome(state.best, engine.config)
     try:

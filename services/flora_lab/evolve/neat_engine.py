@@ -78,7 +78,7 @@ class Generation:
         best_key: the fittest genome; the first of them.
         best_fitness, median_fitness: of this generation.
         species: how many it had.
-        is_extinct: all species stagnated, and a new population began.
+        is_extinct: a new population comes after it: all species stagnated, or none came further (``[Restart]``).
     """
 
     number: int
@@ -105,6 +105,7 @@ class NeatEngine:
         reproduction, species: objects of neat-python's classes.
         generation_number: of the population that waits for its fitness.
         best: the fittest genome ever, with its fitness, or None before the first generation.
+        level, level_since: the best fitness of this population that was worth counting, and of which generation.
     """
 
     def __init__(self, settings: NeatSettings, seed: int, types: NeatTypes = FAST, *, is_empty: bool = False) -> None:
@@ -121,6 +122,7 @@ class NeatEngine:
         self.config.genome_config.node_indexer = Counter(self.config.genome_config.num_outputs)
         self.config.genome_config.innovation_tracker = self.reproduction.innovation_tracker
         self.generation_number = 0
+        self.level, self.level_since = -math.inf, 0
         self.best: Any = None
         self.population: dict[int, Any] = {}
         if not is_empty:
@@ -151,7 +153,7 @@ class NeatEngine:
             self.best = self._kept(champion)
         species = len(self.species.species)
         with self.randomness.lent():
-            is_extinct = self._breed()
+            is_extinct = self._begin_anew() if self._has_stalled(champion.fitness) else self._breed()
         number = self.generation_number
         self.generation_number += 1
         return Generation(number, champion.key, champion.fitness, median(fitnesses), species, is_extinct)
@@ -161,6 +163,23 @@ class NeatEngine:
         kept = self.types.genome(genome.key)
         kept.nodes, kept.connections, kept.fitness = genome.nodes, genome.connections, genome.fitness
         return kept
+
+    def _has_stalled(self, best_fitness: float) -> bool:
+        """Whether this population has had its time; see ``[Restart]`` in ``neat.cfg``."""
+        restart = self.settings.restart
+        if best_fitness > self.level + restart.gain:
+            self.level, self.level_since = best_fitness, self.generation_number
+        is_best = self.best.fitness <= self.level + restart.gain
+        patience = restart.after_best if is_best else restart.after
+        return restart.after > 0 and self.generation_number - self.level_since >= patience
+
+    def _begin_anew(self) -> bool:
+        """Leave this population for a new one; the fittest genome so far stays known."""
+        self.population = self._new_population()
+        self.species.species, self.species.genome_to_species = {}, {}
+        self.level, self.level_since = -math.inf, self.generation_number + 1
+        self.species.speciate(self.config, self.population, self.generation_number)
+        return True
 
     def _breed(self) -> bool:
         try:

@@ -22,6 +22,8 @@ from flora_common.network import ACTIVATIONS, AGGREGATIONS, MAX_NUMBER
 from flora_common.suggest import did_you_mean
 
 SETTINGS_FILE: Final = Path(__file__).with_name("neat.cfg")
+NAMED: Final[Mapping[str, Path]] = {"sparse": Path(__file__).with_name("neat-sparse.cfg")}
+"""Settings that come with flora and change some of those in ``neat.cfg``, by the name that people give."""
 LARGEST_POPULATION: Final = 1_000_000
 LARGEST_COUNT: Final = 10_000
 
@@ -47,6 +49,25 @@ STOCK: Final = NeatTypes()
 """neat-python as it is."""
 
 
+RESTART: Final = "Restart"
+"""The section that is flora's own; neat-python is not shown it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """When a population that comes no further is left for a new one; see ``neat.cfg``.
+
+    Attributes:
+        after: so many generations without a better best fitness; 0 never.
+        after_best: the same for a population that holds the best of the run so far.
+        gain: by more than so much it must be better.
+    """
+
+    after: int
+    after_best: int
+    gain: float
+
+
 @dataclass(frozen=True, slots=True)
 class NeatSettings:
     """Settings that were checked, all of them.
@@ -63,11 +84,21 @@ class NeatSettings:
         return int(self.sections["NEAT"]["pop_size"])
 
     @property
+    def restart(self) -> Restart:
+        """Flora's own settings."""
+        values = self.sections[RESTART]
+        return Restart(int(values["restart_after"]), int(values["restart_after_best"]), float(values["restart_gain"]))
+
+    @property
     def text(self) -> str:
-        """All settings as the text of a file: the same text for the same settings, however they were given."""
+        """All settings as the text of a file: the same text for the same settings, however they were given.
+
+        Without ``[Restart]`` where populations are never left: evolutions begun before it existed go on.
+        """
         return "\n".join(
             f"[{section}]\n" + "".join(f"{key} = {values[key]}\n" for key in sorted(values))
             for section, values in sorted(self.sections.items())
+            if section != RESTART or self.restart.after > 0
         )
 
     def config(self, types: NeatTypes = STOCK) -> Any:
@@ -81,6 +112,8 @@ class NeatSettings:
         # neat-python reads its settings from a file only, with sections named after the classes.
         with tempfile.NamedTemporaryFile("w", suffix=".cfg", encoding="utf-8") as file:
             for section, values in self.sections.items():
+                if section == RESTART:
+                    continue
                 file.write(f"[{names.get(section, section)}]\n")
                 file.writelines(f"{key} = {value}\n" for key, value in values.items())
             file.flush()
@@ -116,6 +149,18 @@ def load_settings(path: Path | None = None, *, population: int | None = None) ->
             raise BadInput(f"population {population}: a population needs 2 genomes or more")
     _check(sections, where)
     return NeatSettings(sections)
+
+
+def settings_named(name: str | None, *, population: int | None = None) -> NeatSettings:
+    """Settings by a name of :data:`NAMED`, or from a file; one that is called like them is given as ``./NAME``.
+
+    Raises:
+        BadInput: neither is there, or see :func:`load_settings`.
+    """
+    path = None if name is None else NAMED.get(name, Path(name))
+    if path is not None and not path.exists():
+        raise BadInput(f"--neat {name}: neither flora's own nor a file{did_you_mean(path.name, NAMED)}")
+    return load_settings(path, population=population)
 
 
 def _parsed(path: Path) -> dict[str, dict[str, str]]:
@@ -167,9 +212,11 @@ _COUNTS: Final = {
     "species_elitism": (0, LARGEST_POPULATION),
     "elitism": (0, LARGEST_POPULATION),
     "min_species_size": (1, LARGEST_POPULATION),
+    "restart_after": (0, LARGEST_POPULATION),
+    "restart_after_best": (0, LARGEST_POPULATION),
 }
 _RATES: Final = ("_rate", "_prob", "survival_threshold")
-_NOT_NEGATIVE: Final = ("_stdev", "_power", "_coefficient", "compatibility_threshold")
+_NOT_NEGATIVE: Final = ("_stdev", "_power", "_coefficient", "compatibility_threshold", "restart_gain")
 _ONE_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "fitness_criterion": ("max", "min", "mean"),
     "species_fitness_func": tuple(stat_functions),

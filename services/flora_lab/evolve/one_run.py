@@ -38,7 +38,7 @@ class GenerationRow(msgspec.Struct, frozen=True, array_like=True, forbid_unknown
     Attributes:
         best_fitness, median_fitness: over the population, as the task averages over its scenarios.
         species: how many.
-        is_extinct: all stagnated, and a new population began.
+        is_extinct: a new population came after it.
         nodes: hidden ones of the best genome.
         links: enabled ones of the best genome.
         plant_steps: that were simulated.

@@ -25,6 +25,7 @@ def as_json(info: EvolutionFile, output: Path) -> dict[str, Any]:
         "best_run": best.number,
         "best_fitness": best.best_fitness,
         "best_fitness_possible": best.best_fitness_possible,
+        "best_held_out_fitness": best.held_out_fitness,
         "best_controller": str(output / BEST_FILE),
         "best_controller_sha256": best.sha256,
         "by_scenario": {
@@ -55,6 +56,9 @@ def text(info: EvolutionFile, output: Path) -> str:
             f"           {percent(possible)} median, {percent(best.best_fitness_possible)} best "
             "without the scenarios that no plant can do"
         )
+    if best.held_out_fitness is not None:
+        others = f"{info.individuals.held_out} plants that nothing was evolved on"
+        lines.append(f"           {percent(best.held_out_fitness)} of the best on {others}, the most of all runs")
     name = "episodes"
     for episode in info.episode:
         lines.append(

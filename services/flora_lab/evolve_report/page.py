@@ -36,7 +36,9 @@ def page(evolution: Evolution, pictures: Pictures) -> str:
         *_best_at_work(evolution, pictures),
         *_over_generations(evolution, pictures),
         html_page.section("Runs"),
-        html_page.paragraph("The champion of each run, the best run first; `generation` is where it came up."),
+        html_page.paragraph(
+            f"The champion of each run, the best run first{_chosen_by(evolution)}; `generation` is where it came up."
+        ),
         tables.runs(evolution),
         html_page.section("What was asked"),
         html_page.picture(
@@ -126,10 +128,15 @@ def _best_at_work(evolution: Evolution, pictures: Pictures) -> list[str]:
     ]
 
 
+def _chosen_by(evolution: Evolution) -> str:
+    others = evolution.info.individuals.held_out
+    return f" on {others} other plants, which nothing was evolved on" if others else ""
+
+
 def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
     extinct = int(evolution.history.is_extinct.sum())
     times = "once" if extinct == 1 else f"{extinct} times"
-    again = f" All species stagnated, and a new population began, {times}." if extinct else ""
+    again = f" No species came further, and a new population began, {times}." if extinct else ""
     return [
         html_page.section("Fitness over generations"),
         html_page.picture(

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from flora_lab import judging
-from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution, RunEntry
+from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution, RunEntry, standing
 from flora_lab.evolve.task import Task
 from flora_lab.evolve_report import words
 from flora_lab.html_page import pairs, table
@@ -45,13 +45,15 @@ def plants_text(evolution: Evolution) -> str:
 
 def by_fitness(evolution: Evolution) -> list[RunEntry]:
     """Runs, the best first; of equals the one with the lowest number."""
-    return sorted(evolution.info.run, key=lambda run: (-run.best_fitness, run.number))
+    return sorted(evolution.info.run, key=lambda run: (-standing(run), run.number))
 
 
 def runs(evolution: Evolution) -> str:
     """What each run came to, the best first."""
     has_impossible = not evolution.task.is_possible.all()
     names = ["run", "fitness", "generation", "hidden nodes", "links", "begun anew", "seed"]
+    if evolution.info.individuals.held_out:
+        names.insert(2, "on other plants")
     if has_impossible:
         names.insert(2, "without impossible")
     rows = []
@@ -59,6 +61,8 @@ def runs(evolution: Evolution) -> str:
         extinct = int(evolution.history.is_extinct[run.number - 1].sum())
         row = [str(run.number), judging.percent(run.best_fitness), str(run.generation_of_best), str(run.nodes)]
         row += [str(run.links), str(extinct) if extinct else "", str(run.seed)]
+        if run.held_out_fitness is not None:
+            row.insert(2, judging.percent(run.held_out_fitness))
         if has_impossible:
             row.insert(2, judging.percent(run.best_fitness_possible))
         rows.append(row)

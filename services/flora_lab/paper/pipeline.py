@@ -115,12 +115,14 @@ def _evolution(asked: Asked, side: Side, task: Task, size: Evolving, quiet: tupl
         "--individuals": size.individuals,
         "--seed": asked.seed,
     }
-    numbers = [text for name, value in sizes.items() for text in (name, str(value))]
+    words = [text for name, value in sizes.items() for text in (name, str(value))]
+    if size.neat is not None:
+        words += ["--neat", size.neat]
     return Step(
         evolution_name(side, task),
         f"evolution for the task {task.name} in the simulator of {SIDE_WORDS[side]}",
         LAB_COMMAND,
-        ("evolve", Made(SIMULATORS[side]), "--task", task.name, *numbers),
+        ("evolve", Made(SIMULATORS[side]), "--task", task.name, *words),
         goes_on=("--resume",),
         anew=("--force",),
         others=(*_jobs(asked), *quiet),

@@ -77,7 +77,8 @@ def sizes(results: Results) -> str:
     for side, where in zip(SIDES, ("In the simulator of the paper's recipe", "in ours"), strict=True):
         size = evolving(results.asked.scale, side)
         plants = f"{size.individuals} drawn plants" if size.individuals else "the typical plant"
-        parts.append(f"{where} {size.population} controllers on {plants}")
+        how = f", NEAT with the settings `{size.neat}`" if size.neat else ""
+        parts.append(f"{where} {size.population} controllers on {plants}{how}")
     return f"{', '.join(parts)}. The paper does not tell its population."
 
 

@@ -20,12 +20,14 @@ class Evolving:
     Attributes:
         runs, generations, population: of NEAT.
         individuals: drawn plants that each controller is tried on; 0 for the typical one, as in the paper.
+        neat: name of NEAT's settings; None for those nearest to the paper's.
     """
 
     runs: int
     generations: int
     population: int
     individuals: int = 0
+    neat: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +87,8 @@ SMALL: Final = Scale(
     own_recipe="sequence",
     own_epochs=None,
     in_paper=Evolving(6, 150, 150),
-    in_own=Evolving(6, 40, 150),
-    for_reality=Evolving(2, 25, 150, individuals=4),
+    in_own=Evolving(6, 80, 150, neat="sparse"),
+    for_reality=Evolving(2, 25, 150, individuals=4, neat="sparse"),
     plants=1,
     reality_hours=72.0,
 )
@@ -100,8 +102,8 @@ FULL: Final = Scale(
     own_recipe="sequence",
     own_epochs=None,
     in_paper=Evolving(20, 1000, 150),
-    in_own=Evolving(20, 200, 150),
-    for_reality=Evolving(2, 80, 150, individuals=8),
+    in_own=Evolving(20, 400, 150, neat="sparse"),
+    for_reality=Evolving(4, 60, 150, individuals=8, neat="sparse"),
     plants=3,
     reality_hours=72.0,
 )
