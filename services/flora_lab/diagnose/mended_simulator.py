@@ -19,6 +19,7 @@ import numpy.typing as npt
 from flora_common.geometry import FloatArray
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.rollout.free_running import free_run
+from flora_lab.rollout.time_scale import best_time_scale
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.paper import COORDINATES, PaperSimulator
@@ -36,6 +37,7 @@ Maker = Callable[[Sequence[MeasuredRun]], Simulator[Any]]
 BoolArray = npt.NDArray[np.bool_]
 _WINDOW_H: Final = 1.0
 _EVERY: Final = 3
+_SEED: Final = 1
 _AROUND_H: Final = 0.5
 _TRACES: Final = slice(1 + COORDINATES, FEATURES)
 
@@ -85,23 +87,31 @@ def mended(
     by_name = {fault.effect: fault for fault in faults}
     factor = by_name["time_scale"].parameters["factor"] if "time_scale" in by_name else 1.0
     clocked = RememberingSimulator(learned, factor, np.zeros((COORDINATES, FEATURES)))
-    makers: dict[str, Maker] = {BASE: lambda _: learned, CLOCK: lambda _: clocked}
+    clocks: dict[tuple[int, ...], RememberingSimulator] = {tuple(id(run) for run in runs): clocked}
+
+    def clock_of(rest: Sequence[MeasuredRun]) -> RememberingSimulator:
+        """The clock as these runs tell it."""
+        which = tuple(id(run) for run in rest)
+        if which not in clocks:
+            own = best_time_scale(learned, rest, _SEED).factor.value if "time_scale" in by_name else 1.0
+            clocks[which] = RememberingSimulator(learned, own, clocked.memory)
+        return clocks[which]
+
+    makers: dict[str, Maker] = {BASE: lambda _: learned, CLOCK: clock_of}
     ridge, simulator = 0.0, clocked
     best = _best_ridge(clocked, runs) if "memory" in by_name else None
     if best is not None:
         ridge = best
         simulator = with_memory(clocked, runs, ridge)
-        makers[NO_MEMORY] = lambda rest: with_memory(clocked, rest, ridge, without_traces=True)
-        makers[MEMORY] = lambda rest: with_memory(clocked, rest, ridge)
+        makers[NO_MEMORY] = lambda rest: with_memory(clock_of(rest), rest, ridge, without_traces=True)
+        makers[MEMORY] = lambda rest: with_memory(clock_of(rest), rest, ridge)
     judged = tuple(holdout or runs)
     stems = {name: _simulated(make, runs, holdout) for name, make in makers.items()}
     stems[STILL] = [np.repeat(run.points_cm[:1], len(run), axis=0) for run in judged]
     errors = {name: _errors(own, judged) for name, own in stems.items()}
     times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
     table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
-    judged_on = (
-        f"{len(holdout)} runs held out" if holdout else f"each of {len(runs)} runs, by what the others tell of memory"
-    )
+    judged_on = f"{len(holdout)} runs held out" if holdout else f"each of {len(runs)} runs, by what the others tell"
     return Mended(simulator, {when: row for when, row in table.items() if row}, judged_on, ridge, judged, stems)
 
 
