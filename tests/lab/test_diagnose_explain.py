@@ -12,7 +12,8 @@ import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
-from flora_lab.diagnose.explain import CLAIM, MOST_CAUSES, Explainer, Explanation, Stage, Tried
+from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
+from flora_lab.diagnose.explanation import CLAIM, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
@@ -143,7 +144,7 @@ def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pyte
         assert stage.tried[0].swing is not None
         assert stage.has_no_name(explainer.nameless) is False
         # As if what is left in the hours' means spoke for it more than the swing does for itself.
-        monkeypatch.setattr("flora_lab.diagnose.explain.BETTER", -1e6)
+        monkeypatch.setattr("flora_lab.diagnose.explanation.BETTER", -1e6)
         again = explainer.explain()
     assert [one.tried.effect.name for one in again.accepted] == ["circumnutation"]
     assert again.unnamed is None

@@ -15,7 +15,8 @@ from evolve_simulators import mechanistic
 from flora_lab.diagnose import boosting, light_plans
 from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
 from flora_lab.diagnose.diagnosis import Gain
-from flora_lab.diagnose.explain import Accepted, Explainer, Explanation
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Accepted, Explanation
 from flora_lab.diagnose.gain import POOLED, SIMULATORS, _left_out, measure_gain
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found

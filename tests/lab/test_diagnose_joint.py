@@ -10,7 +10,7 @@ from diagnose_runs import CHANCE, TYPICAL, base, change_of, individual, scene_of
 
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.chance import MEASURED, PARTS
-from flora_lab.diagnose.explain import CLAIM
+from flora_lab.diagnose.explanation import CLAIM
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.scene import START_SD, Scene

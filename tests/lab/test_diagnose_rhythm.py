@@ -11,7 +11,7 @@ from diagnose_runs import red_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flora_lab.diagnose.explain import CLAIM
+from flora_lab.diagnose.explanation import CLAIM
 from flora_lab.diagnose.rhythm import (
     BAND_H,
     Spectrum,
@@ -48,7 +48,7 @@ def healthy() -> Swings:
 
 def looked(runs: list[Array]) -> Swing:
     left = [spectrum(run, STEP_H) for run in runs]
-    return best_swing(left, [healthy().expected(none_moves())] * len(left))
+    return best_swing(left, [healthy().expectations(none_moves())] * len(left))
 
 
 @pytest.mark.parametrize(("period_h", "amplitude_cm"), [(1.3, 0.3), (1.64, 0.3), (1.64, 1.5), (2.0, 0.5), (2.45, 0.6)])
@@ -95,8 +95,8 @@ def test_a_tip_that_lamps_make_swing_is_no_swing() -> None:
     left = [spectrum(noise(seed) + 0.2 * share * tip, STEP_H) for seed, share in zip(range(12), wrong, strict=True)]
     swings = usual(left[:10], [moved] * 10)
     assert swings.follows > 0.01
-    forewarned = best_swing(left[10:], [swings.expected(moved)] * 2)
-    naive = best_swing(left[10:], [healthy().expected(none_moves())] * 2)
+    forewarned = best_swing(left[10:], [swings.expectations(moved)] * 2)
+    naive = best_swing(left[10:], [healthy().expectations(none_moves())] * 2)
     assert naive.evidence > CLAIM
     assert naive.period_h == pytest.approx(2.0, rel=0.03)
     assert forewarned.evidence < CLAIM
@@ -156,7 +156,21 @@ def test_a_swing_at_the_edge_or_of_no_size_is_none(period_h: float, amplitude_cm
 
 def test_of_a_swing_across_a_leaning_tip_only_a_part_is_sideways() -> None:
     spectra = [spectrum(noise(seed) + 0.5 * np.sin(2.0 * np.pi * TIME_H / 1.64 + seed), STEP_H) for seed in (1, 2, 3)]
-    usual_power = [healthy().expected(none_moves())] * 3
-    upright, leaning = (best_swing(spectra, usual_power, share) for share in (None, [0.64] * 3))
+    expectations = [healthy().expectations(none_moves())] * 3
+    upright, leaning = (best_swing(spectra, expectations, share) for share in (None, [0.64] * 3))
     assert leaning.amplitude_cm == pytest.approx(upright.amplitude_cm / 0.8)
     assert leaning.period_h == upright.period_h
+
+
+@pytest.mark.parametrize("period_h", [1.4, 1.66, 2.3])
+def test_a_swing_is_told_from_what_else_is_wrong_in_all_of_the_band(period_h: float) -> None:
+    """A lamp that follows the tip switches with it: overtones, and errors of many times the usual size everywhere."""
+    runs = []
+    for seed in (1, 2, 3):
+        turn = 2.0 * np.pi * TIME_H / period_h + seed
+        runs.append(6.0 * noise(seed) + 0.9 * np.sin(turn) + 0.3 * np.sin(2.0 * turn))
+    found = looked(runs)
+    assert found.evidence > CLAIM
+    assert found.period_h == pytest.approx(period_h, rel=0.02)
+    alone = looked([6.0 * noise(seed) for seed in (1, 2, 3)])
+    assert alone.evidence < CLAIM

@@ -11,11 +11,14 @@ import pytest
 from diagnose_runs import base, known, scene_of, scenes_of, stem, still, turns
 
 from flora_lab.diagnose import chance, search
-from flora_lab.diagnose.explain import Explainer, Explanation
+from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
+from flora_lab.diagnose.scene import Lanes
 from flora_lab.diagnose.summary import summary
-from flora_lab.diagnose.unnamed import COURSES, Course, Unnamed, moments_of
+from flora_lab.diagnose.unnamed import Unnamed, fitted
 from flora_lab.diagnose.verdict import left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
@@ -88,6 +91,37 @@ def test_something_besides_is_weighed_as_a_cause_would_be() -> None:
     look = search.best_start(joint, null, cause)
     assert nats == pytest.approx(look.evidence - null.evidence, abs=0.5)
     assert size[0] == pytest.approx(look.values()[0]["drive_per_cm_h"], rel=0.1)
+
+
+def test_what_is_large_is_fitted_about_its_own_size() -> None:
+    """An answer to light that falls to a fifth is far from linear about one that never does."""
+    lower = {"gain": lambda hour: -0.8 * (hour > 24.0)}
+    scenes = [scene_of(seed, hours=HOURS, besides=lower) for seed in (84, 85)]
+    runs = [
+        ready(scene, base(), chance.covariances(scene, scene.answers(base().mean, Change())), together=2)
+        for scene in scenes
+    ]
+    joint = Joint(runs, base())
+    null = joint.fit(joint.null(), 12)
+    course = course_of("from 24 h")
+    look = Unnamed("gain", course, 20.0, np.array([-0.3]))
+    found = fitted(joint, null, look)
+    assert (found.drive, found.course) == ("gain", course)
+    assert found.size[0] == pytest.approx(-0.8, abs=0.15)
+    assert found.gain > 20.0
+
+
+def test_a_push_is_what_drives_besides() -> None:
+    """Both ways of driving a scene come to the same stems; growth cannot be less than none."""
+    scene = scene_of(88)
+    course = course_of("where the tip is far off the middle")
+    for drive, size in (("growth", -2.0), ("gain", 0.6)):
+        change = Change(pushes=(Push(drive, course, (size,)),))
+        still_there = Lanes(base().mean[None], np.zeros((1, 2)), [Change()])
+        driven = np.maximum(1.0 + size * scene.course(course), 0.0)
+        told = scene.points(still_there, {drive: driven})
+        assert np.array_equal(scene.points(Lanes(base().mean[None], np.zeros((1, 2)), [change])), told)
+        assert not np.array_equal(scene.points(still_there), told)
 
 
 def test_moments_are_those_of_the_measured_run() -> None:

@@ -11,7 +11,8 @@ from diagnose_runs import LAW, known, run_of, scenes_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flora_lab.diagnose.explain import Accepted, Explainer, Explanation, Stage, Tried
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.knowledge import blocks

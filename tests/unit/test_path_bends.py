@@ -127,3 +127,42 @@ def test_a_stem_that_fades_is_told() -> None:
         drawn(picture, part, tone)  # type: ignore[arg-type]
     reading = tracker().read(picture, 0.0)
     assert reading.outcome != OK or tip_error_mm(reading, line) < 10.0
+
+
+def behind_leaf(line: np.ndarray, hidden_cm: float) -> np.ndarray:
+    """An upright stem with a leaf before it, from 4 cm of height on."""
+    picture = drawn(board(1), line)
+    centre = round(ANCHOR[0]), round(ANCHOR[1] - SCALE * (4.0 + 0.5 * hidden_cm))
+    axes = round(1.1 * SCALE), round(0.5 * hidden_cm * SCALE)
+    cv2.ellipse(picture, centre, axes, 0, 0, 360, LEAF, -1, cv2.LINE_AA)
+    return picture
+
+
+@pytest.mark.parametrize(("hidden_cm", "outcome"), [(1.6, OK), (3.2, OCCLUDED)])
+def test_what_goes_on_behind_a_large_leaf_may_be_another_plant(hidden_cm: float, outcome: str) -> None:
+    reading = tracker().read(behind_leaf(upright(11.0), hidden_cm), 0.0)
+    assert reading.outcome == outcome
+    assert ("nothing is seen" in reading.reason) == (outcome == OCCLUDED)
+
+
+def test_a_stem_that_was_seen_before_is_known_behind_a_large_leaf() -> None:
+    line, one = upright(11.0), tracker()
+    assert one.read(drawn(board(1), line), 0.0).outcome == OK
+    reading = one.read(behind_leaf(line, 3.2), 300.0)
+    assert reading.outcome == OK
+    assert tip_error_mm(reading, line) < 3.0
+    assert one.memory is not None
+    assert one.memory.near is not None
+    assert one.memory.near.looks == 0, "nor is it known less well than before"
+
+
+@pytest.mark.parametrize(("noise", "outcome"), [(0.0, OK), (12.0, OCCLUDED)])
+def test_a_short_stem_that_hardly_stands_out_of_the_noise_may_go_on_in_it(noise: float, outcome: str) -> None:
+    """Of one that is shorter than a centimetre and a half nothing below its end tells that it fades."""
+    line = upright(1.4)
+    faint = [round(0.7 * behind + 0.3 * stem) for behind, stem in zip((74, 70, 66), STEM, strict=True)]
+    picture = drawn(board(1), line, (faint[0], faint[1], faint[2]), 7)
+    picture = np.clip(picture + np.random.default_rng(5).normal(0.0, noise, picture.shape), 0, 255).astype(np.uint8)
+    reading = tracker().read(picture, 0.0)
+    assert reading.outcome == outcome
+    assert ("fades" in reading.reason) == (outcome == OCCLUDED)

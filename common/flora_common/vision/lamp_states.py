@@ -234,13 +234,18 @@ class _Group:
 
 
 def _smaller(coarse: Picture) -> Int16Array:
-    """A quarter of the coarse size, eight times the code, in which noise has nearly gone."""
+    """A quarter of the coarse size, eight times the code, in which noise has nearly gone; shape (3, pixels)."""
     size = (max(1, coarse.shape[1] // 4), max(1, coarse.shape[0] // 4))
-    return np.asarray(cv2.resize(coarse.astype(np.int16) * 8, size, interpolation=cv2.INTER_AREA), dtype=np.int16)
+    # whole squares of four by four are averaged in half the time
+    whole = coarse[: max(1, 4 * (coarse.shape[0] // 4)), : max(1, 4 * (coarse.shape[1] // 4))]
+    small = cv2.resize(whole.astype(np.int16) * 8, size, interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(small.reshape(-1, 3).T, dtype=np.int16)
 
 
 def _mean_size(small: Int16Array, other: Int16Array) -> float:
     """Mean absolute difference in code units, exposure taken away; a plant, which is very different, counts little."""
-    difference = np.ascontiguousarray((small - other).reshape(-1, 3).T)
-    difference -= np.median(difference[:, ::2], axis=1).astype(np.int16)[:, None]
-    return float(np.minimum(np.abs(difference), 8 * 24).mean()) / 8.0
+    difference = small - other
+    some = np.sort(difference[:, ::2], axis=1)
+    difference -= some[:, some.shape[1] // 2, None]
+    # numpy sums small integers faster than it takes their mean
+    return int(np.minimum(np.abs(difference), 8 * 24).sum(dtype=np.int64)) / (8.0 * difference.size)

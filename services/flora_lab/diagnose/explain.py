@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from flora_lab.diagnose import chance, rhythm, search
+from flora_lab.diagnose.explanation import CLAIM, SWING, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
@@ -21,8 +22,6 @@ from flora_lab.effects.effect import Change, Effect
 
 Array = npt.NDArray[Any]
 
-CLAIM: Final = 4.0
-"""Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
 FORM: Final = 0.015
@@ -33,9 +32,6 @@ _MOST_OF_FORM: Final = 10.0
 OF_A_SWING: Final = 0.0001
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
-SWING: Final = "circumnutation"
-BETTER: Final = 4.0
-"""Nats by which something without a name must be better than the best cause, which then is not believed."""
 NAMELESS: Final = 10.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
@@ -46,81 +42,6 @@ _MUCH: Final = 3.0
 """So many times what healthy runs leave is left where the plants themselves were not found."""
 _RESTARTS: Final = 2
 _BADLY: Final = 1.5
-
-
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """A cause on top of others.
-
-    Attributes:
-        effect: which.
-        gain: evidence beyond that without it, nats, with what was known of the effect before.
-        found: the fit, with the cause as its last; None for a swing, which is no part of it.
-        swing: for a swing.
-    """
-
-    effect: Effect
-    gain: float
-    found: Found | None
-    swing: Swing | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """One step of the search: all causes tried on top of those chosen before.
-
-    Attributes:
-        before: the fit without another cause.
-        tried: best first, each effect once, in its best form.
-        unnamed: the best of what is no cause of the catalogue, on top of the same.
-    """
-
-    before: Found
-    tried: tuple[Tried, ...]
-    unnamed: Unnamed | None = None
-
-    def has_no_name(self, least: float) -> bool:
-        """Whether something that is no cause explains the runs better than any that is, by at least so many nats."""
-        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain + BETTER, least)
-
-
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """A cause that was taken, and among which others."""
-
-    tried: Tried
-    stage: Stage
-
-
-@dataclass(frozen=True, slots=True)
-class Explanation:
-    """What explains the runs best.
-
-    Attributes:
-        null: the simulator as it is.
-        found: with all causes.
-        swing: of the tip, where one was found.
-        stages: how it was come to.
-        accepted: the causes that were taken and kept.
-        joint: the runs, as they were whitened at the end.
-        claim: nats that a cause had to have.
-        unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
-    """
-
-    null: Found
-    found: Found
-    swing: Swing | None
-    stages: tuple[Stage, ...]
-    accepted: tuple[Accepted, ...]
-    joint: Joint
-    claim: float = CLAIM
-    unnamed: Unnamed | None = None
-
-    @property
-    def nearest(self) -> Tried | None:
-        """Where no cause was taken, the one for which most speaks; None where nothing speaks for any."""
-        best = self.stages[0].tried[0]
-        return best if not self.accepted and best.gain > 0.0 else None
 
 
 class Explainer:
@@ -174,7 +95,7 @@ class Explainer:
                 swing = best.swing
                 joint = self._joint(swing)
                 null = joint.fit(_side_by_side(alone), 12)
-                found = joint.fit(_started(found), 12)
+                found = self._pruned(joint, joint.fit(_started(found), 12), accepted)
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
                 self._answer(found)
@@ -236,12 +157,14 @@ class Explainer:
             tried.sort(key=lambda t: -t.gain)
         if swing is None:
             own = self._swing(before)
-            # A cause that makes fast errors vanish, too, explains what a swing only describes.
-            slow = max((t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0)
-            place = 0 if own.gain > slow else 1
             if own.gain > 0.0:
-                tried.insert(place, own)
-        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers)[0])
+                # A swing explains something of the hours' means, too, and a cause may make fast errors vanish.
+                slow = max(
+                    (t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0
+                )
+                own = replace(own, gain=own.gain + max(0.0, self._slower(joint, before, own)))
+                tried.insert(0 if own.gain > slow else 1, own)
+        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
         own_swing = found.tried[0].swing
         if own_swing is not None and found.has_no_name(self.nameless):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
@@ -256,7 +179,7 @@ class Explainer:
 
     def _unnamed_beside(self, swing: Swing, before: Found) -> Unnamed | None:
         joint = self._joint(swing)
-        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)[0]
+        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""
@@ -284,7 +207,7 @@ class Explainer:
         for i, scene in enumerate(self.scenes):
             rest, moved = spectra_of(scene, before, i)
             left.append(rest)
-            expected.append(self.known.swings.expected(moved))
+            expected.append(self.known.swings.expectations(moved))
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
@@ -296,8 +219,13 @@ class Explainer:
         for i, scene in enumerate(self.scenes):
             for found, sign in ((before, 1.0), (after, -1.0)):
                 rest, moved = spectra_of(scene, found, i)
-                total += sign * rhythm.improbability(rest, self.known.swings.expected(moved))
+                total += sign * rhythm.improbability(rest, self.known.swings.expectations(moved))
         return total
+
+    def _slower(self, joint: Joint, before: Found, own: Tried) -> float:
+        """Nats by which hours' means are more probable if the tip swings, than as they are before it."""
+        beside = self._joint(own.swing)
+        return beside.probability(beside.fit(_started(before), 12)) - joint.probability(before)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose import boosting
 from flora_lab.diagnose.diagnosis import Gain
-from flora_lab.diagnose.explain import Explanation
+from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.joint import Base, Found, Joint, evidence_for_last
 from flora_lab.diagnose.replayed import Replayed, replayed
 from flora_lab.diagnose.rivals import last_choice, rivals

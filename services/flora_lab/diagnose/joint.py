@@ -285,6 +285,10 @@ class Joint:
         ratio = np.linalg.slogdet(information)[1] + 2.0 * sizes * np.log(sd)
         return float(0.5 * pull @ size - 0.5 * ratio), size
 
+    def probability(self, found: Found) -> float:
+        """The evidence of a fit beside those of the same runs with other errors by chance: with these errors' size."""
+        return found.evidence + sum(float(np.log(np.diag(own.inverse_root)).sum()) for own in self.runs)
+
     def null(self) -> Found:
         """A start without any cause, all plants typical."""
         count = len(self.runs)

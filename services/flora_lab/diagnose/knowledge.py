@@ -141,5 +141,5 @@ def _swing_evidence(spectra: Sequence[tuple[Spectrum, Spectrum]]) -> Array:
     for i, (rest, moved) in enumerate(spectra):
         others = [pair for j, pair in enumerate(spectra) if j != i]
         swings = rhythm.usual([a for a, _ in others], [b for _, b in others])
-        found.append(rhythm.best_swing([rest], [swings.expected(moved)]).evidence)
+        found.append(rhythm.best_swing([rest], [swings.expectations(moved)]).evidence)
     return np.array(found)

@@ -20,7 +20,7 @@ import scipy.linalg
 
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
-from flora_lab.diagnose.explain import CLAIM, Explanation
+from flora_lab.diagnose.explanation import CLAIM, Explanation
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.rivals import last_choice, rivals

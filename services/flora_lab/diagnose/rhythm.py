@@ -8,6 +8,7 @@ are tried, and the price of having looked at so many is paid.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,14 +26,21 @@ _ABOUT: Final = 0.2
 _AMPLITUDE_SHARE: Final = 0.08
 PER_HOUR: Final = 1.0 / 140.0
 """Distance of the frequencies that are tried, 1/h: two runs of three days tell them apart."""
-COHERENCE_H: Final = (6.0, 30.0)
+COHERENCE_H: Final = (6.0, 30.0, 150.0)
 """Times over which a swing keeps its phase, that are tried."""
+_OVERTONES: Final = (0.0, 0.1)
+"""Shares of a swing's power that its overtone has, that are tried: a lamp that follows the tip switches with it."""
+_MORE: Final = (1.0, 4.0, 16.0, 64.0)
+"""So many times what is usual a run may have everywhere in the band, swing or none: what is wrong in it otherwise."""
+_REACH_SHARE: Final = 0.15
+"""A line ends about so far from its middle, as a share of the frequency: with the tails of one that keeps its phase for
+some hours, any period would explain any other."""
 BAND_H: Final = (0.7, 4.0)
 _AMPLITUDES_CM: Final = np.geomspace(0.05, 4.0, 56)
 _SMOOTH_SHARE: Final = 0.12
 _FLOOR_SHARE: Final = 0.02
-LOOKED: Final = float(np.log(65.0))
-"""The price of having looked at all periods, in nats."""
+LOOKED: Final = float(np.log(65.0 * len(_OVERTONES)))
+"""The price of having looked at all periods, with and without an overtone, in nats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +113,12 @@ class Swings:
 
     def expected(self, simulated: Spectrum) -> Array:
         """The power that is expected of what is left of a run in which the simulated tip does this, shape (n,)."""
+        return np.asarray(self.expectations(simulated)[0])
+
+    def expectations(self, simulated: Spectrum) -> Array:
+        """The same for a run that is as usual, and for such as have more of it everywhere, shape (4, n)."""
         own = np.exp(np.interp(np.log(simulated.per_hour), np.log(self.per_hour), np.log(self.power)))
-        return np.asarray(own + self.follows * simulated.power)
+        return np.asarray(np.array(_MORE)[:, None] * own + self.follows * simulated.power)
 
 
 _FOLLOWS: Final = (0.0, *np.geomspace(1e-4, 0.3, 22).tolist())
@@ -138,48 +150,65 @@ def usual(left: Sequence[Spectrum], simulated: Sequence[Spectrum]) -> Swings:
 
 
 def improbability(own: Spectrum, expected: Array) -> float:
-    """Whittle's: minus the logarithm of how probable a spectrum is, up to a constant."""
-    return float((np.log(expected) + own.power / expected).sum())
+    """Whittle's: minus the logarithm of how probable a spectrum is, up to a constant.
+
+    Args:
+        own: the spectrum.
+        expected: shape (n,), or (k, n), of which that counts under which it is most probable.
+    """
+    return -float(_probability(own, expected).max())
+
+
+def _probability(own: Spectrum, expected: Array) -> Array:
+    """The logarithm of how probable a spectrum is under expectations (..., n), up to a constant, shape (...)."""
+    return np.asarray(-(np.log(expected) + own.power / expected).sum(axis=-1))
 
 
 def best_swing(
-    spectra: Sequence[Spectrum], usual_power: Sequence[Array], sideways: Sequence[float] | None = None
+    spectra: Sequence[Spectrum], expectations: Sequence[Array], sideways: Sequence[float] | None = None
 ) -> Swing:
     """The swing, of one period and amplitude in all runs, that explains their spectra best.
 
     Args:
         spectra: of the runs.
-        usual_power: what is expected without it, one array per run.
+        expectations: without it, of each run, see :meth:`Swings.expectations`.
         sideways: how much of a swing's power is sideways in each run, the rest being up and down; all where None.
     """
     ends = 1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0]
     tried = np.arange(ends[0], ends[1], PER_HOUR)
-    likelihood = np.zeros((len(COHERENCE_H), len(tried), len(_AMPLITUDES_CM)))
-    for own, expected in zip(spectra, usual_power, strict=True):
-        without = np.log(expected) + own.power / expected
-        for c, coherence_h in enumerate(COHERENCE_H):
-            half = 1.0 / (2.0 * np.pi * coherence_h) + 0.6 / own.hours
-            away = (own.per_hour[None, :] - tried[:, None]) / half
-            # Two-sided: half of the variance A^2 / 2 lies at positive frequencies.
-            line = 0.25 / (np.pi * half) / (1.0 + away**2)
+    kinds = list(itertools.product(COHERENCE_H, _OVERTONES))
+    likelihood = np.zeros((len(kinds), len(tried), len(_AMPLITUDES_CM)))
+    for own, expected in zip(spectra, expectations, strict=True):
+        without = -improbability(own, expected)
+        for c, (coherence_h, overtone) in enumerate(kinds):
+            line = _line(own, tried, coherence_h) + overtone * _line(own, 2.0 * tried, coherence_h)
             for a, amplitude in enumerate(_AMPLITUDES_CM):
-                total = expected[None, :] + amplitude**2 * line
-                likelihood[c, :, a] += (without[None, :] - np.log(total) - own.power[None, :] / total).sum(axis=1)
+                swinging = [_probability(own, usual + amplitude**2 * line) for usual in expected]
+                likelihood[c, :, a] += np.max(swinging, axis=0) - without
     best = int(np.argmax(likelihood.max(axis=(1, 2))))
     top = likelihood[best]
     weights = np.exp(top - top.max())
     by_period = weights.sum(axis=1)
     period = _middle(1.0 / tried[::-1], by_period[::-1])
     shares = [1.0] * len(spectra) if sideways is None else sideways
-    amplitude_cm, interval_cm = _amplitude(spectra, usual_power, shares, 1.0 / period[1])
+    amplitude_cm, interval_cm = _amplitude(spectra, [own[0] for own in expectations], shares, 1.0 / period[1])
     return Swing(
         period_h=period[1],
         amplitude_cm=amplitude_cm,
-        coherence_h=COHERENCE_H[best],
+        coherence_h=kinds[best][0],
         evidence=float(top.max()) - LOOKED - 1.0,
         period_interval_h=(period[0], period[2]),
         amplitude_interval_cm=interval_cm,
     )
+
+
+def _line(own: Spectrum, at: Array, coherence_h: float) -> Array:
+    """Power of a swing of amplitude 1 at each of some frequencies, 1/h, as a run shows it, shape (frequencies, n)."""
+    half = 1.0 / (2.0 * np.pi * coherence_h) + 0.6 / own.hours
+    away = own.per_hour[None, :] - at[:, None]
+    # Two-sided: half of the variance A^2 / 2 lies at positive frequencies.
+    line = 0.25 / (np.pi * half) / (1.0 + (away / half) ** 2)
+    return np.asarray(line * np.exp(-0.5 * (away / (_REACH_SHARE * at[:, None])) ** 2))
 
 
 def _amplitude(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flora_lab.diagnose.explain import Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import Explanation, Stage, Tried
 
 
 def last_choice(explanation: Explanation) -> Stage | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
+from flora_lab.diagnose.courses import Course, moments_of
 from flora_lab.diagnose.first_stem import first_stem
 from flora_lab.diagnose.restarts import restarts_of, short_gaps
 from flora_lab.effects.effect import Change
@@ -140,6 +141,7 @@ class Scene:
         self.features = means.ravel()[self.is_told]
         self.window = np.repeat(np.arange(self.windows), len(FEATURES))[self.is_told]
         self.feature = np.tile(np.arange(len(FEATURES)), self.windows)[self.is_told]
+        self._courses: dict[Course, Array] = {}
 
     def under(self, change: Change) -> Scene:
         """The same run for a law that is changed so; what the change does to the record is left out."""
@@ -185,7 +187,7 @@ class Scene:
                 simulated once for all.
         """
         count = len(lanes.traits)
-        given = {name: np.full((self.steps, count), usual) for name, usual in USUAL.items()} | (drives or {})
+        given = self._pushed(lanes.changes, drives or {})
         every = every or self._every
         turn, scale, terms, light = self._changed(lanes.changes, every, lights)
         out = np.empty((self.steps // every, count, STEM_POINTS, 2))
@@ -218,6 +220,24 @@ class Scene:
             out[told, :here], out[told, here:] = shown, shown[:, :1]
             memory = stems.memory
         return out
+
+    def _pushed(self, changes: Sequence[Change], drives: Mapping[str, Array]) -> dict[str, Array]:
+        """All drives, of shape (steps, lanes), with what is no term of the law; growth and pull end at nothing."""
+        shape = (self.steps, len(changes))
+        given = {name: drives.get(name, np.full(shape, usual)) for name, usual in USUAL.items()}
+        pushed = {push.drive for change in changes for push in change.pushes}
+        given |= {name: given[name].copy() for name in pushed}
+        for lane, change in enumerate(changes):
+            for push in change.pushes:
+                given[push.drive][:, lane] += push.along(self.course(push.course))
+        return given | {name: np.maximum(given[name], 0.0) for name in pushed if USUAL[name] > 0.0}
+
+    def course(self, course: Course) -> Array:
+        """What may be followed, in the middle of each step, shape (steps, columns)."""
+        if course not in self._courses:
+            middles_h = (np.arange(self.steps) + 0.5) * self.step_h
+            self._courses[course] = course.of(moments_of(self, middles_h))
+        return self._courses[course]
 
     def of_points(self, points: Array) -> Array:
         """The features of stems (rows told, lanes, 10, 2), shape (lanes, m)."""

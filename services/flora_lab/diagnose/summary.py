@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from flora_lab.diagnose.diagnosis import NamedCause
-from flora_lab.diagnose.explain import Explanation
+from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME

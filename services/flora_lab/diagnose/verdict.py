@@ -12,7 +12,7 @@ import scipy.special
 import scipy.stats
 
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
-from flora_lab.diagnose.explain import SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks

@@ -14,7 +14,8 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
-from flora_lab.diagnose.explain import SWING, Explainer, Explanation, Tried
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from

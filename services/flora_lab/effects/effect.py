@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +100,21 @@ class Parameter:
         return max(ends) / 2.0
 
 
+class Push(Protocol):
+    """What drives the law along a course that each run tells for itself: see :mod:`flora_lab.diagnose.courses`."""
+
+    @property
+    def drive(self) -> str:
+        """Of the law."""
+
+    @property
+    def course(self) -> Any:
+        """What it follows."""
+
+    def along(self, columns: Array) -> Array:
+        """What it adds to the drive, shape (k,), where the course is ``columns``, shape (k, columns)."""
+
+
 @dataclass(slots=True)
 class Change:
     """What effects change in the model of a run; as made, nothing.
@@ -114,6 +129,7 @@ class Change:
         late_per_h: by how much more with each hour.
         rhythm_cm: amplitude of the tip's own swing.
         rhythm_h: its period.
+        pushes: on the law's drives, of what is no term of it.
     """
 
     traits: Array = field(default_factory=lambda: np.zeros(len(NAMES)))
@@ -125,6 +141,7 @@ class Change:
     late_per_h: float = 0.0
     rhythm_cm: float = 0.0
     rhythm_h: float = 1.64
+    pushes: tuple[Push, ...] = ()
 
     def times(self, trait: str, factor: float) -> None:
         """Multiply one of the plant's constants."""
@@ -137,7 +154,8 @@ class Change:
     def is_but_for_traits(self, other: Change) -> bool:
         """Whether it is the same as another one, whatever both do to the plant's constants."""
         mine, its = (
-            (c.turn_deg, c.drift_deg, c.scale, c.late_h, c.late_per_h, c.rhythm_cm, c.rhythm_h) for c in (self, other)
+            (c.turn_deg, c.drift_deg, c.scale, c.late_h, c.late_per_h, c.rhythm_cm, c.rhythm_h, c.pushes)
+            for c in (self, other)
         )
         return mine == its and bool(np.array_equal(self.terms, other.terms))
 

@@ -35,8 +35,10 @@ GLANCE_SPREADS: Final = 1.5
 """The same of what is looked for to a pixel."""
 REACH_CM: Final = 1.2
 """So far a tip moves from one picture to the next, at most."""
-LEAST_ALIKE: Final = 0.85
-"""Correlation; apices of which one is known to be the other seldom have less than 0.95."""
+LEAST_ALIKE, SURELY_ALIKE = 0.85, 0.95
+"""Correlation; apices of which one is known to be the other seldom have less than the second."""
+NEAR_SHARE: Final = 0.35
+"""Of that reach: so near it is looked for first."""
 MOST_STEPS, CLOSE_PX, MOST_OFF_PX = 12, 0.01, 2.0
 """Of the search for a fraction of a pixel; one that leads farther from where it set out has lost the apex."""
 MOVED_ERROR_CM, MOVED_ERROR_SHARE = 0.02, 0.04
@@ -220,18 +222,22 @@ def _to_a_pixel(old: _Piece, code: Picture, tip: FloatArray, spread: float, reac
     x, y = (int(v) for v in np.rint(old.tip))
     part = slice(max(0, y - half), y + half + 1), slice(max(0, x - half), x + half + 1)
     sought, plant = old.code[part], old.plant[part]
-    far = half + math.ceil(reach)
-    x0, y0 = (int(v) for v in np.maximum(0, np.rint(tip) - far))
-    x1, y1 = (int(v) for v in np.rint(tip) + far + 1)
-    there = code[y0 : max(0, y1), x0 : max(0, x1)]
     side = 2 * half + 1
-    if sought.shape[:2] != (side, side) or min(there.shape[:2]) < side or not plant.any():
+    if sought.shape[:2] != (side, side) or not plant.any():
         return None
-    likeness = cv2.matchTemplate(there, sought, cv2.TM_CCOEFF_NORMED, mask=np.dstack([plant] * 3))
-    _, alike, _, at = cv2.minMaxLoc(np.where(np.isfinite(likeness), likeness, 0.0))
-    if not alike >= LEAST_ALIKE:
-        return None
-    return np.asarray(np.array([x0, y0]) + at + half + old.tip - np.array([x, y]), dtype=np.float64)
+    mask = np.dstack([plant] * 3)
+    # most tips move by little, and there is little else that looks so much like one
+    for far, least in ((NEAR_SHARE * reach, SURELY_ALIKE), (reach, LEAST_ALIKE)):
+        x0, y0 = (int(v) for v in np.maximum(0, np.rint(tip) - half - math.ceil(far)))
+        x1, y1 = (int(v) for v in np.rint(tip) + half + math.ceil(far) + 1)
+        there = code[y0 : max(0, y1), x0 : max(0, x1)]
+        if min(there.shape[:2]) < side:
+            continue
+        likeness = cv2.matchTemplate(there, sought, cv2.TM_CCOEFF_NORMED, mask=mask)
+        _, alike, _, at = cv2.minMaxLoc(np.where(np.isfinite(likeness), likeness, 0.0))
+        if alike >= least:
+            return np.asarray(np.array([x0, y0]) + at + half + old.tip - np.array([x, y]), dtype=np.float64)
+    return None
 
 
 def _to_a_fraction(old: _Piece, code: Picture, start: FloatArray, spread: float) -> FloatArray | None:

@@ -107,15 +107,20 @@ def best_chain(
     px_per_cm, anchor = camera.px_per_cm, np.array(camera.anchor_px, dtype=np.float64)
     seen_from = np.array(nearest_in_window(camera, settings), dtype=np.float64)
     pieces = sorted(_from_anchor(found.pieces, anchor, px_per_cm), key=_weight, reverse=True)[:MOST_CANDIDATES]
-    nodes = [Node(i, strand, px_per_cm) for i, piece in enumerate(pieces) for strand in (piece, piece.reversed())]
+    nodes: list[Node] = []
+    for i, piece in enumerate(pieces):
+        nodes.append(Node(i, piece, px_per_cm))
+        nodes.append(Node(i, piece.reversed(), px_per_cm, nodes[-1]))
     if not nodes:
         return None
     _weigh(nodes, before, px_per_cm)
     _doubt_window_edge(nodes, camera, settings)
     links = links_between(nodes, found, px_per_cm, settings)
     beams: list[_Beam] = []
-    for k, node in enumerate(nodes):
-        cost = _first_cost(node, found, seen_from, px_per_cm, settings)
+    starts = np.array([node.start for node in nodes])
+    over = np.column_stack(covered(np.broadcast_to(seen_from, starts.shape), starts, found)).tolist()
+    for k, (node, (over_leaf, over_thin)) in enumerate(zip(nodes, over, strict=True)):
+        cost = _first_cost(node, over_leaf, over_thin, seen_from, px_per_cm, settings)
         if cost is not None:
             beams.append((node.reward - cost, (k,), node, True))
     finals: list[tuple[float, tuple[int, ...]]] = []
@@ -213,17 +218,17 @@ def _doubt_window_edge(nodes: Sequence[Node], camera: CameraSection, settings: P
 
 
 def _first_cost(
-    node: Node, found: Strands, anchor: FloatArray, px_per_cm: float, settings: PathSettings
+    node: Node, over_leaf: float, over_thin: float, anchor: FloatArray, px_per_cm: float, settings: PathSettings
 ) -> float | None:
     """What it costs to believe that the stem begins with this piece; None where it is too far from the anchor.
 
-    ``anchor`` is the place in the window that is nearest to it.
+    ``over_leaf`` and ``over_thin`` are the shares of the way to it over leaves and over other plant, ``anchor`` is the
+    place in the window that is nearest to the anchor.
     """
     gap = node.start - anchor
     gap_cm = float(np.hypot(*gap)) / px_per_cm
     if gap_cm > max(settings.hidden_base_cm, settings.longest_gap_cm):
         return None
-    over_leaf, over_thin = (float(v[0]) for v in covered(anchor[None, :], node.start[None, :], found))
     if gap_cm * (1.0 - over_leaf) > settings.hidden_base_cm:
         return None
     turn = float(angle(STRAIGHT_UP, node.start_direction))

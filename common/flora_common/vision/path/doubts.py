@@ -6,6 +6,7 @@ hardly any of it; one that leaves only :func:`unsure_of_end` shows the stem, and
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 import cv2
@@ -41,8 +42,11 @@ ASIDE_CM: Final = 1.0
 what hides a base, a rim or soil, hides it below."""
 ALIKE: Final = 0.5
 """In shares of the stem's: how clear and thick it is at least."""
-FADED, FADED_SHARE = 10.0, 0.45
-"""Evidence before the tip, and its share of that below, under which the stem has faded and may go on unseen."""
+FADED, FADED_SHARE = 2.0, 0.45
+"""Evidence before the tip, in shares of the least that counts, and its share of that below, under which the stem has
+faded and may go on unseen."""
+LONGEST_UNSEEN_CM: Final = 2.4
+"""In a picture by itself: over a longer gap what goes on may be another plant's stem, and what hides it its leaf."""
 
 
 def doubt(stem: Stem, sampler: Sampler, strands: Strands, camera: CameraSection, above_cm: float) -> str:
@@ -74,7 +78,8 @@ def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: floa
     s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
     to_tip_cm = (s[-1] - s) / px_per_cm
     last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
-    if last.size and rest.size and (np.median(last) < max(FADED, FADED_SHARE * float(np.median(rest)))):
+    below = float(np.median(rest)) if rest.size else 0.0
+    if last.size and float(np.median(last)) < max(FADED * sampler.least, FADED_SHARE * below):
         return "the stem fades before it ends: it looks like what is behind it"
     if leaf_from(stem.line, sampler, px_per_cm) < len(stem.line):
         return "the line ends in what is darker and greener than the stem below: a leaf"
@@ -104,6 +109,12 @@ def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
         ):
             return True
     return False
+
+
+def longest_gap_px(chain: Chain) -> float:
+    """The longest way between two pieces of a chain, over which nothing of it is seen."""
+    gaps = (float(np.hypot(*(b.points[0] - a.points[-1]))) for a, b in pairwise(chain.pieces))
+    return max(gaps, default=0.0)
 
 
 def begins_aside(chain: Chain, camera: CameraSection) -> bool:

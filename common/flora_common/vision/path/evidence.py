@@ -8,7 +8,7 @@ only darker.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -61,6 +61,11 @@ class Evidence:
         return self.plant.size == 0
 
     @property
+    def least(self) -> float:
+        """What has less evidence than this is noise."""
+        return max(CLEAR * self.noise, LEAST_EVIDENCE)
+
+    @property
     def tone(self) -> Float32Array:
         """Brightness of the picture, shape (height, width)."""
         return np.asarray(cv2.transform(self.code, np.full((1, 3), 1 / 3)), dtype=np.float32)
@@ -92,8 +97,8 @@ class PlantFinder(Surveyor):
         score *= np.asarray(cv2.LUT(np.ascontiguousarray(empty[..., 1]), survey.even), dtype=np.float32)
         if noise is None:
             noise = noise_of(score)
-        _, over = cv2.threshold(score, max(CLEAR * noise, LEAST_EVIDENCE), 0.0, cv2.THRESH_TOZERO)
-        plant = np.asarray(over, dtype=np.float32)
         code = np.asarray(cv2.GaussianBlur(code, (0, 0), 1.0), dtype=np.uint8)
         origin = columns.start, rows.start
-        return Evidence(origin, plant, code, noise, survey.number, survey.changed, survey.plant_pixels)
+        found = Evidence(origin, score, code, noise, survey.number, survey.changed, survey.plant_pixels)
+        _, over = cv2.threshold(score, found.least, 0.0, cv2.THRESH_TOZERO)
+        return replace(found, plant=np.asarray(over, dtype=np.float32))

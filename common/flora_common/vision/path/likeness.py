@@ -101,6 +101,10 @@ OF_FRAMES: Final = Demands(changed=0.15, correlation=-1.0, worst_band=-1.0, gain
 """A setup learnt from the plant's own pictures has ghosts of it."""
 
 
+_Telling = tuple[npt.NDArray[np.intp], Float32Array, Float32Array]
+"""Of a lamp state: which squares have structure, their structure, and its power."""
+
+
 class SetupLikeness:
     """Holds pictures against the empty setup.
 
@@ -110,38 +114,56 @@ class SetupLikeness:
     """
 
     def __init__(self, setup: EmptySetup, anchor_y_px: float) -> None:
-        self._states = []
+        self._states: list[_Telling | None] = []
         for state in setup.states:
             squares, noise = _structure(state.coarse)
             power = (squares**2).mean(axis=1)
             order = np.argsort(-power, kind="stable")[: max(LEAST_SQUARES, round(TELLING * len(power)))]
             order = order[power[order] > np.maximum(LEAST_STRUCTURE**2, OVER_NOISE * noise[order])]
-            if len(order) >= LEAST_SQUARES:
-                self._states.append((order, squares[order], power[order]))
+            known = len(order) >= LEAST_SQUARES
+            self._states.append((order, squares[order], power[order]) if known else None)
         width, height = setup.size_px
         self._side, self._rows, self._columns = _grid(max(1, height // REDUCED), max(1, width // REDUCED))
         self._rows_above = int(anchor_y_px // (self._side * REDUCED))
 
     def of(self, survey: Survey) -> Likeness:
-        """Likeness to the lamp state that the picture is most like; full likeness where the setup has no structure."""
-        if not self._states:
-            return Likeness()
+        """Likeness to the lamp state that the survey tells, where that is great; else to the one that is most like it.
+
+        Full likeness where the setup has no structure.
+        """
         squares, noise = _structure(survey.coarse)
         hidden = self._hidden(survey)
-        found = []
-        for order, empty, power in self._states:
-            here = squares[order]
-            common = (here * empty).mean(axis=1)
-            own = (here**2).mean(axis=1)
-            own -= np.minimum(noise[order], MOST_NOISE * own)
-            correlation = np.minimum(1.0, common / np.sqrt(own * power + 1e-6))
-            gain = common / power
-            elsewhere = float((correlation < SAME).mean())
-            bare = ~hidden[order] & (order // self._columns < self._rows_above)
-            worst = self._worst_band(correlation[bare], order[bare])
-            found.append(Likeness(float(median(correlation)), float(median(gain)), elsewhere, worst))
+        likely = self._one(survey.number, squares, noise, hidden)
+        if likely is not None and not OF_THE_FIRST.unmet(0.0, likely):
+            return likely
+        all_states = (self._one(number, squares, noise, hidden) for number in range(len(self._states)))
         # most squares look alike under either lamp: those that differ tell the state
-        return max(found, key=lambda one: one.correlation + one.worst_band - one.elsewhere)
+        return max(
+            (one for one in all_states if one is not None),
+            key=lambda one: one.correlation + one.worst_band - one.elsewhere,
+            default=Likeness(),
+        )
+
+    def _one(
+        self, number: int, squares: Float32Array, noise: Float32Array, hidden: npt.NDArray[np.bool_]
+    ) -> Likeness | None:
+        """Likeness to one lamp state; None where that has no structure."""
+        telling = self._states[number]
+        if telling is None:
+            return None
+        order, empty, power = telling
+        here = squares[order]
+        common = (here * empty).mean(axis=1)
+        own = (here**2).mean(axis=1)
+        own -= np.minimum(noise[order], MOST_NOISE * own)
+        correlation = np.minimum(1.0, common / np.sqrt(own * power + 1e-6))
+        bare = ~hidden[order] & (order // self._columns < self._rows_above)
+        return Likeness(
+            float(median(correlation)),
+            float(median(common / power)),
+            float((correlation < SAME).mean()),
+            self._worst_band(correlation[bare], order[bare]),
+        )
 
     def _hidden(self, survey: Survey) -> npt.NDArray[np.bool_]:
         """For each square, whether plant stands before it."""

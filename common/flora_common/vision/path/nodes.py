@@ -32,34 +32,39 @@ LEAF_COLOURED_COST: Final = 1.3
 class Node:
     """A strand in one direction, with what the links need."""
 
-    def __init__(self, index: int, strand: Strand, px_per_cm: float) -> None:
+    def __init__(self, index: int, strand: Strand, px_per_cm: float, other: Node | None = None) -> None:
+        """``other``: the same strand in the other direction, whose figures that know no direction are taken over."""
         self.index, self.strand = index, strand
         p = strand.points
         reach = max(3, round(DIRECTION_OVER_CM * px_per_cm))
+        w = np.maximum(strand.width, 0.8)
+        if other is None:
+            self.usual_width, self.green = median(w), median(strand.green)
+            self.length_cm = strand.length / px_per_cm
+            self.reward = self.length_cm * (1.0 - ON_LEAF_COST * strand.on_leaf)
+            self.reward -= BEND_COST * _bending(p, px_per_cm)
+            self._half_width = round(median(strand.width) / 2)
+        else:
+            self.usual_width, self.green = other.usual_width, other.green
+            self.length_cm, self.reward, self._half_width = other.length_cm, other.reward, other._half_width
         # thinning bends the last half width of a line towards what it meets there
-        skip = min(round(median(strand.width) / 2), len(p) // 4)
+        skip = min(self._half_width, len(p) // 4)
         k = min(reach, len(p) - 1 - skip)
         self.start, self.end = p[0], p[-1]
         self.start_direction = unit(p[k] - p[skip])
         self.end_direction = unit(p[-1 - skip] - p[-1 - k])
         middle = slice(min(2, len(p) // 3), max(3, len(p) - 2))
-        w = np.maximum(strand.width, 0.8)
         self.start_width, self.end_width = median(w[middle][: 2 * k]), median(w[middle][-2 * k :])
         self.start_strength = median(strand.strength[: 2 * skip + 3])
         self.end_strength = median(strand.strength[-2 * skip - 3 :])
-        self.usual_width = median(w)
-        self.length_cm = strand.length / px_per_cm
         near = max(3, round(GREEN_OVER_CM * px_per_cm))
         self.start_green, self.end_green = median(strand.green[:near]), median(strand.green[-near:])
-        self.green = median(strand.green)
         # a thin line has some of the colour of what is behind it
         self._knows_green = min(1.0, max(0.0, 0.5 * (self.usual_width - 1.5))) * min(
             1.0, self.length_cm / GREEN_OVER_CM
         )
         self._widths = w
-        self._rewards: dict[tuple[int, int], float] = {}
-        self.reward = self.length_cm * (1.0 - ON_LEAF_COST * strand.on_leaf)
-        self.reward -= BEND_COST * _bending(p, px_per_cm)
+        self._leaf_like: dict[int, float] = {}
         self.sure = min(1.0, self.length_cm / SURE_OF_DIRECTION_CM)
 
     def reward_after(self, longest: Node, before: Node) -> float:
@@ -68,24 +73,29 @@ class Node:
         ``longest`` is the longest piece below, which knows the stem's width, ``before`` the last one, which knows its
         colour: that may change along a stem, but not at once.
         """
-        key = longest.index, id(before)
-        known = self._rewards.get(key)
-        if known is None:
-            known = self.reward
-            if longest.length_cm >= KNOWS_WIDTH_CM:
-                wide = (self._widths - WIDER_PX) / longest.usual_width
-                leaf_like = np.clip((wide - WIDER) / 0.3, 0.0, 1.0)
-                known *= 1.0 - LEAF_LIKE_COST * float(leaf_like.mean())
+        reward = self.reward
+        if longest.length_cm >= KNOWS_WIDTH_CM:
+            reward *= 1.0 - LEAF_LIKE_COST * self._wider_than(longest)
+        if reward > 0.0:
             greener = min(1.0, max(0.0, (self.green - before.end_green - GREENER) / GREENER_BY))
-            if known > 0.0:
-                known *= 1.0 - LEAF_COLOURED_COST * greener * min(self._knows_green, before._knows_green)
-            self._rewards[key] = known
+            reward *= 1.0 - LEAF_COLOURED_COST * greener * min(self._knows_green, before._knows_green)
+        return reward
+
+    def _wider_than(self, longest: Node) -> float:
+        """Share of it that is as much wider than another piece as leaves are."""
+        known = self._leaf_like.get(longest.index)
+        if known is None:
+            wide = (self._widths - WIDER_PX) / longest.usual_width
+            known = float(np.minimum(np.maximum((wide - WIDER) / 0.3, 0.0), 1.0).mean())
+            self._leaf_like[longest.index] = known
         return known
 
 
 def median(v: FloatArray) -> float:
     """The upper median of few values; numpy's own takes ten times as long."""
-    return float(np.sort(v)[len(v) // 2])
+    ordered = v.copy()
+    ordered.sort()
+    return float(ordered[len(v) // 2])
 
 
 def unit(v: FloatArray) -> FloatArray:

@@ -304,7 +304,10 @@ def _branches(skeleton: ByteArray) -> tuple[list[tuple[npt.NDArray[np.intp], npt
     steps = steps[1::2] + steps[0::2]
 
     def following(at: int) -> int:
-        return next((at + step for step in steps if at + step in left), -1)
+        for step in steps:
+            if at + step in left:
+                return at + step
+        return -1
 
     out = []
     ends = places[flat[places[:, None] + offsets[None, :]].sum(axis=1) <= 1].tolist()

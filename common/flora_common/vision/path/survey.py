@@ -50,8 +50,12 @@ SAMPLED, LEAST_OF_LEVEL = 4, 75
 """By one pixel in so many along either side, and only where there are so many."""
 MOST_SHIFT_PX: Final = 2.0
 """A camera that has moved farther than this has moved; less is believed and taken into account."""
+LEAST_SHIFT_PX: Final = 0.04
+"""Less changes the evidence of the sharpest edges by half a code unit, which noise does, too."""
 CHANGED: Final = 40.0
 """Code units."""
+HANGS_TOGETHER: Final = 2
+"""Mark of pixels that hang together with the anchor's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +179,8 @@ class Surveyor:
         place = nearest_in_window(self._camera, self._settings)
         x, y = (min(round(v / COARSE), size - 1) for v, size in zip(place, mask.shape[::-1], strict=True))
         cv2.circle(near, (x, y), max(2, round(self._settings.hidden_base_cm * px_per_cm)), 1, -1)
-        _, labels = cv2.connectedComponents(near, connectivity=4)
-        around = (labels == labels[y, x]).view(np.uint8)
+        cv2.floodFill(near, None, (x, y), HANGS_TOGETHER)
+        around = np.asarray(near == HANGS_TOGETHER, dtype=np.bool_).view(np.uint8)
         plant = np.asarray(cv2.bitwise_and(around, box), dtype=np.uint8)
         if not plant.any():
             around = np.zeros_like(mask)
@@ -212,14 +216,14 @@ class _Empty:
 
         Lucas and Kanade 1981, over the whole picture at once; what differs by more than edges can is left out.
         """
-        off = flat[..., 1].ravel()[self._edges]
+        off = flat.reshape(-1, 3)[self._edges, 1]
         use = np.abs(off) < 30
         x, y, d = self._x[use], self._y[use], off[use]
         if d.size < 200:
             return np.zeros(2, np.float32)
         normal = np.array([[x @ x, x @ y], [x @ y, y @ y]], dtype=np.float64) + 1e-3 * np.eye(2) * float(x @ x + y @ y)
         shift = -np.linalg.solve(normal, np.array([x @ d, y @ d], dtype=np.float64))
-        if np.abs(shift).max() * COARSE > MOST_SHIFT_PX:
+        if not LEAST_SHIFT_PX < np.abs(shift).max() * COARSE < MOST_SHIFT_PX:
             return np.zeros(2, np.float32)
         return shift.astype(np.float32)
 
@@ -229,7 +233,8 @@ def plant_score(difference: Float32Array) -> Float32Array:
 
     How far the reflectance is from the empty setup's: brighter, of another colour, and a little if it is darker.
     """
-    bright, green, yellow = cv2.split(cv2.transform(difference, _AXES))
+    # one plane at a time: taking three apart takes longer than all the rest
+    bright, green, yellow = (cv2.transform(difference, axis) for axis in _AXES[:, None])
     bright = cv2.max(bright, -DARK_WEIGHT * np.asarray(bright, dtype=np.float32))
     return np.asarray(cv2.magnitude(cv2.magnitude(bright, green), yellow), dtype=np.float32)
 

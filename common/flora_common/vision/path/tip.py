@@ -111,26 +111,24 @@ def find_tip(
     grid = np.meshgrid(BENDS_PER_CM / px_per_cm, TURNS_RAD, indexing="ij")
     bend = float(np.clip(bend, grid[0].min(), grid[0].max()))
     bends, turns = (np.append(own, v.ravel()) for own, v in zip((0.5 * bend, 0.0), grid, strict=True))
-    angle = heading + turns[:, None] + bends[:, None] * steps[None, :]
-    effort = np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]
-    against = BEND_COST_CM * effort[:, None] ** 2 * np.minimum(1.0, steps / px_per_cm)[None, :]
-    arcs, side = _places(stem.line[safe], angle)
-    if before is not None:
-        against += before.trust * _moved_cost(arcs, before, px_per_cm)
+    effort = (np.abs(bends - bend) * px_per_cm / BENDS_PER_CM[-1] + np.abs(turns) / TURNS_RAD[-1]) ** 2
     level = float(np.median(sampler.plant(stem.line[None, max(0, safe - 20) : safe + 1])))
     # a few steps tell how good an arc is
-    glance = slice(GLANCE - 1, None, GLANCE)
-    gain, _ = _gain(arcs[:, glance], side[:, glance], width, level, sampler)
-    worth = (np.cumsum(GLANCE * STEP * gain / px_per_cm, axis=1) - against[:, glance]).max(axis=1)
+    few = steps[GLANCE - 1 :: GLANCE]
+    arcs, side = _arcs(stem.line[safe], heading + turns[:, None], bends[:, None], few)
+    against = _bent_cost(effort[:, None], few, px_per_cm)
+    moved = _moved_cost(arcs, before, px_per_cm)
+    gain, _ = _gain(arcs, side, width, level, sampler)
+    worth = (np.cumsum(GLANCE * STEP * gain / px_per_cm, axis=1) - against - moved).max(axis=1)
     shares = _one_by_one(worth) if before is None else _as_one(worth)
-    angle, against = shares @ angle, shares @ against
+    angle = heading + (shares @ turns)[:, None] + (shares @ bends)[:, None] * steps
+    against = _bent_cost((shares @ effort)[:, None], steps, px_per_cm)
+    against = against + np.array([np.interp(steps, few, row) for row in shares @ moved])
     # and the line itself where it turns more than an arc can: a hook
     line = _along(stem.line[safe:], s[safe:] - s[safe], steps)
     if line is not None and np.ptp(line) > HOOK_RAD:
         angle = np.concatenate([angle, line[None]])
-        against = np.concatenate([against, np.zeros((1, len(steps)))])
-        if before is not None:
-            against[-1] += before.trust * _moved_cost(_places(stem.line[safe], line[None])[0], before, px_per_cm)[0]
+        against = np.concatenate([against, _moved_cost(_places(stem.line[safe], line[None])[0], before, px_per_cm)])
     arcs, side = _places(stem.line[safe], angle)
     gain, plant = _gain(arcs, side, width, level, sampler)
     there = plant > END_LEVEL * level
@@ -174,10 +172,27 @@ def _places(start: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArra
     return start + np.cumsum(STEP * np.stack([cos, sin], axis=-1), axis=1), np.stack([-sin, cos], axis=-1)
 
 
-def _moved_cost(arcs: FloatArray, before: Before, px_per_cm: float) -> FloatArray:
+def _arcs(start: FloatArray, angle: FloatArray, bend: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same at some distances along circles with given directions (rad) at the start and bends (rad per px)."""
+    half = 0.5 * bend * steps
+    chord = steps * np.sinc(half / np.pi)
+    places = start + np.stack([chord * np.cos(angle + half), chord * np.sin(angle + half)], axis=-1)
+    turned = angle + 2.0 * half
+    return places, np.stack([-np.sin(turned), np.cos(turned)], axis=-1)
+
+
+def _bent_cost(effort: FloatArray, steps: FloatArray, px_per_cm: float) -> FloatArray:
+    """What each place costs as an end, for how much the arc is bent."""
+    return np.asarray(BEND_COST_CM * effort * np.minimum(1.0, steps / px_per_cm), dtype=np.float64)
+
+
+def _moved_cost(arcs: FloatArray, before: Before | None, px_per_cm: float) -> FloatArray:
     """What each place costs as an end, for how far it is from the tip before."""
+    if before is None:
+        return np.zeros(arcs.shape[:-1])
     off = arcs - before.line_px[-1]
-    return np.asarray(MOVE_COST * np.minimum(np.hypot(off[..., 0], off[..., 1]) / px_per_cm, 1.0), dtype=np.float64)
+    away = np.minimum(np.hypot(off[..., 0], off[..., 1]) / px_per_cm, 1.0)
+    return np.asarray(before.trust * MOVE_COST * away, dtype=np.float64)
 
 
 def _just_beyond(arc: FloatArray, plant: FloatArray, end: int, least: float) -> FloatArray:
@@ -264,22 +279,25 @@ def _gain(
 
     And the evidence of plant there.
     """
-    offset = (ACROSS_WIDTHS * max(width, 2.0)).astype(np.float32)
-    places = arcs[:, :, None, :] + offset[:, None] * side[:, :, None, :]
-    plant = sampler.plant(places)
-    inside = plant[..., 2:5].mean(axis=-1)
-    left, right = plant[..., :2].mean(axis=-1) < 0.4 * inside, plant[..., 5:].mean(axis=-1) < 0.4 * inside
+    # across first: sums over a short last axis take long
+    offset = (ACROSS_WIDTHS * max(width, 2.0))[:, None, None]
+    x, y = (arcs[..., k] + offset * side[..., k] for k in range(2))
+    plant = sampler.plant_at(x, y)
+    inside = (plant[2] + plant[3] + plant[4]) / 3.0
+    least = 0.8 * inside
+    left, right = plant[0] + plant[1] < least, plant[5] + plant[6] < least
     gain = np.where(left | right, ONE_SIDE, 0.0)
     clean = left & right
     gain[clean] = BOTH_SIDES
     # two clean edges are worth more than any band on a leaf
-    rest = np.nonzero(~clean)
-    tone = sampler.tone(places[rest])
-    middle, beside = tone[:, 2:5].mean(axis=-1), np.stack([tone[:, :2].mean(axis=-1), tone[:, 5:].mean(axis=-1)])
-    ridge = np.maximum(middle - beside.max(axis=0), beside.min(axis=0) - middle)
+    rest = np.flatnonzero(~clean)
+    tone = sampler.tone_at(*(v.reshape(len(offset), -1)[:, rest] for v in (x, y)))
+    middle, before, behind = (tone[2] + tone[3] + tone[4]) / 3.0, 0.5 * (tone[0] + tone[1]), 0.5 * (tone[5] + tone[6])
+    ridge = np.maximum(middle - np.maximum(before, behind), np.minimum(before, behind) - middle)
     on_leaf = np.clip(ridge / CLEAR_RIDGE, 0.0, 1.0) * (ON_LEAF + HIDDEN_COST) - HIDDEN_COST
-    gain[rest] = np.where(gain[rest] > 0.0, np.maximum(gain[rest], on_leaf), on_leaf)
-    centre = plant[..., 3]
+    one_edge = gain.flat[rest]
+    gain.flat[rest] = np.where(one_edge > 0.0, np.maximum(one_edge, on_leaf), on_leaf)
+    centre = plant[3]
     return np.where(centre > END_LEVEL * level, gain, -OPEN_COST), centre
 
 

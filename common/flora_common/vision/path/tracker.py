@@ -205,9 +205,12 @@ class PathTracker:
         above_cm, ahead_cm = (v / scale for v in doubts.beyond_px(final.line, strands.mask, strands.origin_px, scale))
         doubt = doubts.doubt(final, sampler, strands, self.camera, above_cm)
         doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
-        clear = fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
-        sure = before is not None or clear
+        unseen_cm = doubts.longest_gap_px(fit.chain) / scale
+        alone = fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
+        sure = before is not None or (alone and unseen_cm < doubts.LONGEST_UNSEEN_CM)
         unsure = "" if sure else "another part of the plant may as well be the stem"
+        if alone and not sure:
+            unsure = f"nothing is seen of it over {unseen_cm:.1f} cm; what goes on may be another plant"
         if doubts.another_stem(fit.chain, strands, self.camera):
             unsure = "something else rises beside the anchor as a stem does"
         if doubts.begins_aside(fit.chain, self.camera):
@@ -218,7 +221,7 @@ class PathTracker:
             unsure = "another part of the plant has looked more like the stem for some time"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
         known = self.memory.near if self.memory is not None else None
-        kept = near if clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
+        kept = near if alone or fit.held else nearby.since_clear(known, fit.reached, before, scale)
         state = State(belief, fit.reached.length / scale, followed, apex, kept, elsewhere, sure)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading

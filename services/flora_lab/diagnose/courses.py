@@ -1,0 +1,179 @@
+"""What something that no term of the law has may follow: where the tip is, how high, the hour, what light there was.
+
+A course is told by the measured run, so that it is known before anything is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from flora_lab.diagnose.scene import Scene
+
+Array = npt.NDArray[Any]
+
+_OFF_CM: Final = 3.0
+_LEAN_CM: Final = 5.0
+_BESIDE_CM: Final = 2.0
+_MIDDLE_HEIGHT_CM: Final = 13.0
+_HEIGHT_CM: Final = 8.0
+DAY_H: Final = 24.0
+_HISTORY_H: Final = 6.0
+_AFTER_SWITCH_H: Final = 2.0
+_EVERY_H: Final = 6.0
+_SHADOW_H: Final = 8.0
+_SHADOW_EVERY_H: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """A measured run at some times.
+
+    Attributes:
+        time_h: since the start, shape (k,).
+        x_cm, height_cm: of the tip, shape (k,).
+        side: 1 where only the right lamp shines, -1 where only the left one does, 0 else, shape (k,).
+        history: the same, averaged over the last hours.
+        since_h: since the lamps changed last.
+    """
+
+    time_h: Array
+    x_cm: Array
+    height_cm: Array
+    side: Array
+    history: Array
+    since_h: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What a drive may follow.
+
+    Attributes:
+        where: in words, after "lower" or "higher".
+        drives: that may follow it; others that do are causes of the catalogue.
+        of: the course at some moments, shape (k, columns).
+    """
+
+    where: str
+    drives: tuple[str, ...]
+    of: Callable[[Moments], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One of the law's drives, pushed along a course.
+
+    Attributes:
+        drive: see :data:`flora_lab.diagnose.scene.USUAL`.
+        course: what it follows.
+        sizes: of each column of the course.
+    """
+
+    drive: str
+    course: Course
+    sizes: tuple[float, ...]
+
+    def along(self, columns: Array) -> Array:
+        """What it adds to the drive, shape (k,), where the course is ``columns``, shape (k, columns)."""
+        return np.asarray(columns @ np.array(self.sizes))
+
+
+def _column(course: Callable[[Moments], Array]) -> Callable[[Moments], Array]:
+    return lambda at: course(at)[:, None]
+
+
+def _day(at: Moments) -> Array:
+    turn = 2.0 * np.pi * at.time_h / DAY_H
+    return np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+
+def _farther(side: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: np.maximum(side * at.x_cm - _BESIDE_CM, 0.0) / _LEAN_CM)
+
+
+def _after(hour_h: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: (at.time_h > hour_h).astype(np.float64))
+
+
+def _shadow(side: float, from_h: float) -> Callable[[Moments], Array]:
+    def course(at: Moments) -> Array:
+        return np.asarray((at.side == side) & ((at.time_h - from_h) % DAY_H < _SHADOW_H), dtype=np.float64)
+
+    return _column(course)
+
+
+COURSES: Final = (
+    Course(
+        "where the tip is far off the middle",
+        ("gain", "growth"),
+        _column(lambda at: at.x_cm**2 / (at.x_cm**2 + _OFF_CM**2)),
+    ),
+    Course(
+        f"for each {_LEAN_CM:.0f} cm that the tip leans towards the lamp that shines",
+        ("gain", "growth"),
+        _column(lambda at: at.side * at.x_cm / _LEAN_CM),
+    ),
+    Course(
+        f"for each {_LEAN_CM:.0f} cm that the tip is to the right",
+        ("gain", "growth", "bias"),
+        _column(lambda at: at.x_cm / _LEAN_CM),
+    ),
+    *(
+        Course(
+            f"for each {_LEAN_CM:.0f} cm that the tip is farther {name} than {_BESIDE_CM:.0f} cm",
+            ("gain", "growth", "bias"),
+            _farther(side),
+        )
+        for name, side in (("left", -1.0), ("right", 1.0))
+    ),
+    Course(
+        f"for each {_HEIGHT_CM:.0f} cm that the tip is higher",
+        ("gain", "growth", "bias"),
+        _column(lambda at: (at.height_cm - _MIDDLE_HEIGHT_CM) / _HEIGHT_CM),
+    ),
+    Course("in a rhythm of 24 h", ("gain", "bias"), _day),
+    Course("after hours of light from the right", ("gain", "growth"), _column(lambda at: at.history)),
+    Course(
+        "in the first hours after a switch of the lamps",
+        ("growth",),
+        _column(lambda at: np.exp(-at.since_h / _AFTER_SWITCH_H)),
+    ),
+    *(
+        Course(f"from {hour_h:.0f} h after the start on", ("gain", "growth", "bias"), _after(hour_h))
+        for hour_h in np.arange(_EVERY_H, 72.0, _EVERY_H)
+    ),
+    *(
+        Course(
+            f"while the {name} lamp shines, from {from_h:.0f} to {(from_h + _SHADOW_H) % DAY_H:.0f} h of each day",
+            ("gain",),
+            _shadow(side, from_h),
+        )
+        for name, side in (("left", -1.0), ("right", 1.0))
+        for from_h in np.arange(0.0, DAY_H, _SHADOW_EVERY_H)
+    ),
+)
+
+
+def moments_of(scene: Scene, time_h: Array) -> Moments:
+    """A measured run at some times, shape (k,)."""
+    points = scene.run.points_cm[: scene.steps + 1, -1]
+    seen = np.isfinite(points[:, 0])
+    rows_h = np.arange(len(points)) * scene.step_h
+    x_cm, height_cm = (np.interp(time_h, rows_h[seen], points[seen, axis]) for axis in range(2))
+    side = np.sign(scene.light[:, 1] - scene.light[:, 0])
+    changed = np.any(np.diff(scene.light, axis=0, prepend=scene.light[:1]) != 0.0, axis=1)
+    steps = np.arange(scene.steps)
+    since_h = (steps - np.maximum.accumulate(np.where(changed, steps, 0))) * scene.step_h
+    keep, history = np.exp(-scene.step_h / _HISTORY_H), np.empty(scene.steps)
+    now = 0.0
+    for step in range(scene.steps):
+        now = keep * now + (1.0 - keep) * side[step]
+        history[step] = now
+    at = np.minimum((time_h / scene.step_h).astype(np.int64), scene.steps - 1)
+    return Moments(time_h, x_cm, height_cm, side[at], history[at], since_h[at])

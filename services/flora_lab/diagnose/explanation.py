@@ -1,0 +1,92 @@
+"""What a search for causes comes to: those tried at each step, those taken, and what explains the runs in the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from flora_lab.diagnose.joint import Found, Joint
+from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.unnamed import Unnamed
+from flora_lab.effects.effect import Effect
+
+CLAIM: Final = 4.0
+"""Nats of evidence that a cause needs beyond none, or beyond those that are named already."""
+SWING: Final = "circumnutation"
+BETTER: Final = 4.0
+"""Nats by which something without a name must be better than the best cause, which then is not believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A cause on top of others.
+
+    Attributes:
+        effect: which.
+        gain: evidence beyond that without it, nats, with what was known of the effect before.
+        found: the fit, with the cause as its last; None for a swing, which is no part of it.
+        swing: for a swing.
+    """
+
+    effect: Effect
+    gain: float
+    found: Found | None
+    swing: Swing | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One step of the search: all causes tried on top of those chosen before.
+
+    Attributes:
+        before: the fit without another cause.
+        tried: best first, each effect once, in its best form.
+        unnamed: the best of what is no cause of the catalogue, on top of the same.
+    """
+
+    before: Found
+    tried: tuple[Tried, ...]
+    unnamed: Unnamed | None = None
+
+    def has_no_name(self, least: float) -> bool:
+        """Whether something that is no cause explains the runs better than any that is, by at least so many nats."""
+        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain + BETTER, least)
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A cause that was taken, and among which others."""
+
+    tried: Tried
+    stage: Stage
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What explains the runs best.
+
+    Attributes:
+        null: the simulator as it is.
+        found: with all causes.
+        swing: of the tip, where one was found.
+        stages: how it was come to.
+        accepted: the causes that were taken and kept.
+        joint: the runs, as they were whitened at the end.
+        claim: nats that a cause had to have.
+        unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
+    """
+
+    null: Found
+    found: Found
+    swing: Swing | None
+    stages: tuple[Stage, ...]
+    accepted: tuple[Accepted, ...]
+    joint: Joint
+    claim: float = CLAIM
+    unnamed: Unnamed | None = None
+
+    @property
+    def nearest(self) -> Tried | None:
+        """Where no cause was taken, the one for which most speaks; None where nothing speaks for any."""
+        best = self.stages[0].tried[0]
+        return best if not self.accepted and best.gain > 0.0 else None
