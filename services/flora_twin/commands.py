@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,23 +12,23 @@ import cv2
 import msgspec
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.runs import LEVELS, LIGHTS, RunFolder, track_text
+from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
 from flora_twin.grow import grow, parse_schedule
-from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, dataset_runs
+from flora_twin.photographed_folder import write_runs
+from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
+from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, PlannedRun, dataset_runs, planned_runs
 from flora_twin.server import WorldServer, only_one, parse_start, serve
-from flora_twin.strips import LampLight, strip_bytes
 from flora_twin.world import World
 
 Seed = Annotated[int, typer.Option(help="The individual plant and all chance; a whole number from 0.")]
-
-LAMP_COLOUR = LampLight(0.35, 0.45, 1.0)
-"""Bluish white, as in photographs of such rigs."""
 
 
 def register(app: typer.Typer) -> None:
@@ -97,20 +98,16 @@ def picture(
         raise BadInput(f"{output}: a picture ends in .jpg or .png")
     if not 0.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [0, 400]")
-    lamps = {
-        name: strip_bytes(*(LAMP_COLOUR if level else LampLight() for level in levels))
-        for name, levels in LEVELS.items()
-    }
     if light not in LIGHTS:
         raise BadInput(f"light `{light}` does not exist{did_you_mean(light, LIGHTS)}")
     before = parse_schedule(schedule or light)
     world = World(seed, planted=not empty)
     while world.time_s < hours * 3600.0 - 1e-6:
-        world.set_strips(lamps[before(world.time_s)])
+        world.set_strips(STRIPS[before(world.time_s)])
         world.advance_to(min(world.time_s + 100.0, hours * 3600.0))
-    world.set_strips(lamps[next(known for known in LIGHTS if known == light)])
+    world.set_strips(STRIPS[next(known for known in LIGHTS if known == light)])
     world.set_flash(flash)
-    jpeg, _ = world.photograph(20_000.0)
+    jpeg, _ = world.photograph(EXPOSURE_US)
     if output.suffix.lower() == ".png":
         _, data = cv2.imencode(".png", np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)))
         files.write_bytes(output, data.tobytes())
@@ -141,10 +138,21 @@ def grow_runs(
     pixel_cm: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Tell tracks in whole pixels of this size; 0 tells them exactly.")
     ] = 0.0,
+    photographs: Annotated[
+        bool,
+        typer.Option(
+            "--photographs", help="Photograph the plants in place of telling their tracks; some 40 s for 72 hours."
+        ),
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
-    """Grow the paper's dataset experiments without pictures: run folders with run.toml and track.csv.
+    """Grow the paper's dataset experiments: run folders with run.toml and track.csv.
 
     Each run is of another individual: SEED, SEED + 1, ...
+
+    With --photographs there is no track.csv, but background/, frames/ and frames.csv as a rig leaves them, for
+    `flora-lab track`; the true stems are in truth.csv. The same command, given again after it was killed, goes on after
+    the last whole run.
     """
     if output.exists():
         raise BadInput(f"{output}: is there already; name another folder with -o")
@@ -154,6 +162,15 @@ def grow_runs(
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
+    if photographs:
+        if pixel_cm:
+            raise BadInput("--pixel-cm: photographs have pixels of their own; leave it out, or --photographs")
+        planned = planned_runs(
+            seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours, random_loops=random_loop
+        )
+        _photograph(output, planned, hours, quiet=quiet)
+        typer.echo(f"photographed {len(planned)} runs of {hours:g} h in {output}")
+        return
     runs = dataset_runs(
         seed,
         open_loops=open_loop,
@@ -169,6 +186,24 @@ def grow_runs(
             inner.run_toml.write_text(run.run_text(), encoding="utf-8")
             inner.track_csv.write_text(run.track_text(), encoding="utf-8")
     typer.echo(f"wrote {len(runs)} runs of {hours:g} h in {output}")
+
+
+def _photograph(output: Path, planned: Sequence[PlannedRun], hours: float, *, quiet: bool) -> None:
+    each, console = photographs_in(hours), Console(stderr=True)
+    cv2.setNumThreads(1)  # whoever photographs several folders at a time gives each a core
+    with Progress(
+        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
+        console=console,
+        disable=quiet or not console.is_terminal,
+    ) as bar:
+        task = bar.add_task("photographs", total=each * len(planned))
+        write_runs(
+            output,
+            planned,
+            hours,
+            on_photograph=lambda: bar.advance(task),
+            on_kept=lambda _name: bar.advance(task, each),
+        )
 
 
 def list_faults() -> None:

@@ -1,4 +1,4 @@
-"""The nine runs that the paper's training set is from, grown in the virtual box without pictures.
+"""The nine runs that the paper's training set is from, grown in the virtual box.
 
 Wahby et al. 2018, section "Dataset experiments": "six repetitions with a simplistic, non-reactive controller", which
 switches the lamps every six hours, and "three repetitions with a closed-loop adaptive controller", which switches
@@ -36,6 +36,27 @@ DWELL_H: Final = (0.5, 10.0)
 
 Steering = Callable[[float, float, Light], Light]
 """From the time in s, the tip's x in cm and the lamp that shines, to the lamp that is to shine."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """A run that is to be grown.
+
+    Attributes:
+        name: of its folder.
+        seed: the individual.
+        run_file: its run.toml.
+        steering: tells the lamps.
+    """
+
+    name: str
+    seed: int
+    run_file: RunFile
+    steering: Steering
+
+    def run_text(self) -> str:
+        """``run.toml``."""
+        return run_file_text(self.run_file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,24 +155,16 @@ def grow_steered(seeds: Sequence[int], steering: Sequence[Steering], hours: floa
     return [Track(time_s, tuple(shone), points[i], {}) for i, shone in enumerate(lights)]
 
 
-def dataset_runs(
-    seed: int,
-    *,
-    open_loops: int,
-    closed_loops: int,
-    hours: float,
-    random_loops: int = 0,
-    pixel_cm: float = 0.0,
-) -> list[VirtualRun]:
-    """The paper's dataset experiments with other plants, and runs under random light.
+def planned_runs(
+    seed: int, *, open_loops: int, closed_loops: int, hours: float, random_loops: int = 0
+) -> list[PlannedRun]:
+    """The paper's dataset experiments with other plants, and runs under random light, before they are grown.
 
     Args:
         seed: the plants are the individuals ``seed``, ``seed + 1``, ...; the targets follow from it too.
         open_loops, closed_loops: how many of each.
         hours: length of every run.
         random_loops: how many open-loop runs under a random schedule, each under its own.
-        pixel_cm: tell tracks in whole pixels of this size, as from pictures that were made small; 0 tells them as they
-            are.
 
     Returns:
         The runs, open loop first, random light last. Targets of closed loops are 2 to 7 cm to the left or right in
@@ -171,10 +184,10 @@ def dataset_runs(
         *(tip_follower(target.x_cm) for target in targets),
         *(open_loop(random_schedule(individual, hours)) for individual in seeds[open_loops + closed_loops :]),
     ]
-    tracks = grow_steered(seeds, steering, hours)
     return [
-        VirtualRun(
+        PlannedRun(
             name,
+            individual,
             RunFile(
                 camera=camera_section(),
                 rig="twin",
@@ -182,9 +195,35 @@ def dataset_runs(
                 interval_s=FRAME_S,
                 target=target,
             ),
-            _in_pixels(track, pixel_cm) if pixel_cm else track,
+            steer,
         )
-        for name, individual, target, track in zip(names, seeds, wanted, tracks, strict=True)
+        for name, individual, target, steer in zip(names, seeds, wanted, steering, strict=True)
+    ]
+
+
+def dataset_runs(
+    seed: int,
+    *,
+    open_loops: int,
+    closed_loops: int,
+    hours: float,
+    random_loops: int = 0,
+    pixel_cm: float = 0.0,
+) -> list[VirtualRun]:
+    """The runs of :func:`planned_runs`, grown without pictures.
+
+    Args:
+        seed, open_loops, closed_loops, hours, random_loops: as there.
+        pixel_cm: tell tracks in whole pixels of this size, as from pictures that were made small; 0 tells them as they
+            are.
+    """
+    planned = planned_runs(
+        seed, open_loops=open_loops, closed_loops=closed_loops, hours=hours, random_loops=random_loops
+    )
+    tracks = grow_steered([run.seed for run in planned], [run.steering for run in planned], hours)
+    return [
+        VirtualRun(run.name, run.run_file, _in_pixels(track, pixel_cm) if pixel_cm else track)
+        for run, track in zip(planned, tracks, strict=True)
     ]
 
 

@@ -185,7 +185,9 @@ def test_a_table_that_is_wrong_is_told(folder: Path, change: Callable[[Any], Any
 @pytest.mark.parametrize("kind", ["paper", "sequence"])
 def test_kinds_without_named_parts_are_not_extended(folder: Path, kind: str) -> None:
     change_info(folder, lambda info: {**info, "kind": kind, "extension": [{"effect": "sag"}]})
-    with pytest.raises(BadInput, match=rf"kind `{kind}` takes no \[\[extension\]\]; only mechanistic, corrected do"):
+    with pytest.raises(
+        BadInput, match=rf"kind `{kind}` takes no \[\[extension\]\]; only mechanistic, remembering, corrected do"
+    ):
         load(folder)
 
 

@@ -130,4 +130,6 @@ class Diagnosis(msgspec.Struct, frozen=True):
     """That one must have to be named; 1.5 fewer for what is but another constant of the plant."""
     base: dict[str, Any] = {}
     """What the simulator was learned from, and what is known of it."""
+    learned: dict[str, Any] = {}
+    """Of a simulator by the paper's recipe that was mended: its tip errors in mm, running free, before and after."""
     format: int = 1

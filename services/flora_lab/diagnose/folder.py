@@ -17,12 +17,20 @@ from typing import Final
 import msgspec
 
 from flora_common import files
-from flora_lab.diagnose import corrected, figures, figures_of_controllers, figures_of_runs, stored_base
+from flora_lab.diagnose import (
+    corrected,
+    figures,
+    figures_of_controllers,
+    figures_of_learned,
+    figures_of_runs,
+    stored_base,
+)
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page
 from flora_lab.diagnose.schedules import CHOICE, write_experiment
 from flora_lab.diagnose.work import Result
-from flora_lab.simulator.store import write_simulator
+from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.simulator.store import Extension, TrackEntry, write_simulator
 
 JSON_FILE: Final = "diagnosis.json"
 PAGE_FILE: Final = "report.html"
@@ -64,6 +72,8 @@ def _write_found(folder: Path, result: Result) -> None:
         stored_base.write_known(folder / BASE, start.simulator, start.known, start.provenance)
     if result.corrected is not None:
         _write_corrected(folder / EXTENDED, result)
+    elif result.mended is not None:
+        _write_mended(folder / EXTENDED, result)
     elif result.extensions:
         stored_base.write_known(folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions)
     corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
@@ -85,6 +95,27 @@ def _write_corrected(path: Path, result: Result) -> None:
         scales=simulator.scales(),
         provenance=result.start.provenance,
         extensions=simulator.extensions,
+    )
+
+
+def _write_mended(path: Path, result: Result) -> None:
+    """The paper's simulator with its clock set right and a memory beside it."""
+    assert result.mended is not None
+    assert result.start.judged is not None
+    simulator, learned = result.mended.simulator, result.start.judged.info.provenance
+    told = [TrackEntry(run.name, run.plant, run.sha256, "memory") for run in result.runs.tracks]
+    write_simulator(
+        path,
+        kind=simulator.kind,
+        step_s=simulator.step_s,
+        weights=simulator.weights(),
+        scales=simulator.scales(),
+        provenance=msgspec.structs.replace(learned, track=[*learned.track, *told]),
+        extensions=[
+            Extension(cause.effect, dict(cause.parameters), cause.form)
+            for cause in result.diagnosis.causes
+            if BY_NAME[cause.effect].where == "simulator"
+        ],
     )
 
 
@@ -110,6 +141,8 @@ def pictures_of(result: Result) -> dict[str, bytes]:
     }
     if gain.free_running:
         made["gain"] = figures.gain(gain.free_running, gain.one_step)
+    if result.mended is not None:
+        made["learned"] = figures_of_learned.heights(result.mended)
     if gain.controller_fitness:
         made["controllers"] = figures_of_controllers.controllers(gain.controller_fitness)
     return made

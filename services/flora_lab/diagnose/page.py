@@ -7,7 +7,7 @@ from html import escape
 from typing import Any, Final, Literal
 
 from flora_lab import html_page
-from flora_lab.diagnose import controllers_told
+from flora_lab.diagnose import controllers_told, learned_told
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
 from flora_lab.diagnose.figures import GAIN_NAMES
 from flora_lab.diagnose.replayed import Plant
@@ -50,7 +50,7 @@ def page(diagnosis: Diagnosis, pictures: Mapping[str, bytes], *, evidence: Evide
     Args:
         diagnosis: what it says.
         pictures: by name, PNG, and ``film`` a GIF: ``paths``, ``phase``, ``stem``, ``spectrum``, ``evidence``,
-            ``gain``, ``controllers``, ``stems``. Those that are missing are left out.
+            ``gain``, ``controllers``, ``stems``, ``learned``. Those that are missing are left out.
         evidence: of each round of the search, titles of causes and their nats, best first.
         plant: which of the simulated plants the pictures show.
     """
@@ -62,6 +62,7 @@ def page(diagnosis: Diagnosis, pictures: Mapping[str, bytes], *, evidence: Evide
         *_confusable(diagnosis),
         *_seen(diagnosis, pictures, plant),
         *_left(diagnosis),
+        *learned_told.pieces(diagnosis.learned, pictures),
         *_gained(diagnosis.gain, pictures),
         *_next(diagnosis),
         *_record(diagnosis),

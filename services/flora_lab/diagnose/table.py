@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flora_lab.diagnose import controllers_told
+from flora_lab.diagnose import controllers_told, learned_told
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.summary import title
 from flora_lab.diagnose.work import Result
@@ -20,6 +20,7 @@ def text(result: Result) -> str:
         lines += [f"  {cause.evidence}", ""]
     if found.residuals.left:
         lines += [found.residuals.left, ""]
+    lines += learned_told.lines(found.learned)
     lines += _gain(found.gain)
     lines += controllers_told.lines(found.gain.controller_fitness)
     if found.next_experiment.why:

@@ -20,18 +20,19 @@ from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
 from flora_lab.diagnose.learned_simulator import faults_of
+from flora_lab.diagnose.mended_simulator import Mended
+from flora_lab.diagnose.mended_simulator import mended as mended_of
 from flora_lab.diagnose.next_experiment import next_experiment
 from flora_lab.diagnose.residuals import ResidualTables, residuals_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
-from flora_lab.simulator.corrected import CorrectedSimulator
+from flora_lab.simulator.corrected import CorrectedSimulator, Learned
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import Extension, Provenance, Stored, TrackEntry, read_stored, software
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
@@ -78,6 +79,7 @@ class Result:
         extensions: what the simulator is extended by.
         runs: that were diagnosed.
         corrected: the learned simulator with what it lacks beside it; None where none was given, or nothing found.
+        mended: the paper's simulator without what is wrong with it as a whole; None where nothing is.
     """
 
     start: Start
@@ -88,6 +90,7 @@ class Result:
     extensions: tuple[Extension, ...]
     runs: Runs
     corrected: CorrectedSimulator | None = None
+    mended: Mended | None = None
 
 
 def start_from(
@@ -171,6 +174,7 @@ def diagnose(
         left = left_of(explanation, start.known)
         causes = named(explanation, left)
         faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
+        mended = _mended(start, faults, runs, further)
         said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
         extended_tables = _extended(scenes, start.known, explanation)
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
@@ -193,21 +197,29 @@ def diagnose(
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),
         base={"learned_from": start.learned_from, **_base_words(start.known)},
+        learned=mended.told() if mended is not None else {},
     )
     extensions = extensions_of(causes[len(faults) :])
-    corrected = _corrected(start, extensions)
-    return Result(start, diagnosis, explanation, tables, extended_tables, extensions, runs, corrected)
+    corrected = _corrected(start, extensions, mended)
+    return Result(start, diagnosis, explanation, tables, extended_tables, extensions, runs, corrected, mended)
 
 
 def _considered(tried: Sequence[Tried]) -> dict[str, float]:
     return {one.effect.name: round(one.gain, 1) for one in tried if math.isfinite(one.gain)}
 
 
-def _corrected(start: Start, extensions: Sequence[Extension]) -> CorrectedSimulator | None:
+def _mended(start: Start, faults: Sequence[NamedCause], runs: Runs, further: Runs | None) -> Mended | None:
+    learned = simulator_of(start.judged) if start.judged is not None else None
+    if not isinstance(learned, PaperSimulator):
+        return None
+    return mended_of(learned, faults, runs.measured, further.measured if further else ())
+
+
+def _corrected(start: Start, extensions: Sequence[Extension], mended: Mended | None) -> CorrectedSimulator | None:
     if start.judged is None or not extensions:
         return None
-    learned = simulator_of(start.judged)
-    if isinstance(learned, RodSimulator) or not isinstance(learned, PaperSimulator | SequenceSimulator):
+    learned = mended.simulator if mended is not None else simulator_of(start.judged)
+    if isinstance(learned, RodSimulator) or not isinstance(learned, Learned):
         return None
     return CorrectedSimulator(learned, start.simulator.extended(extensions))
 

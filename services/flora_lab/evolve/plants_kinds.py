@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from flora_common.errors import BadInput
-from flora_lab.evolve import plants_extended, plants_neural, plants_paper, plants_tropism
+from flora_lab.evolve import plants_extended, plants_neural, plants_paper, plants_remembering, plants_tropism
 from flora_lab.evolve.plants import Plants
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.growing import GrowingSimulator
@@ -17,6 +17,7 @@ _KINDS: Final[tuple[Callable[[Simulator[Any], Task, int | None, int], Plants | N
     plants_extended.plants_of,
     plants_neural.plants_of,
     plants_paper.plants_of,
+    plants_remembering.plants_of,
 )
 
 

@@ -23,14 +23,17 @@ from flora_common.geometry import resample_by_height
 from flora_lab.simulator.growing import GrowingState
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator, run
 from flora_lab.simulator.paper import PaperSimulator
+from flora_lab.simulator.remembering import RememberingSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import INFO_FILE, Extension, Stored
 
 Array = npt.NDArray[Any]
-Learned = PaperSimulator | SequenceSimulator
+Learned = PaperSimulator | SequenceSimulator | RememberingSimulator
 
-_KINDS: Final[dict[str, type[Learned]]] = {kind.kind: kind for kind in (PaperSimulator, SequenceSimulator)}
+_KINDS: Final[dict[str, type[Learned]]] = {
+    kind.kind: kind for kind in (PaperSimulator, SequenceSimulator, RememberingSimulator)
+}
 _LEARNED, _MECHANISTIC = "learned", "mechanistic"
 """Of the two parts: begins the names of their weights, and is the name of the table of their scales."""
 _EVEN_CM: Final = 1e-6
@@ -90,7 +93,7 @@ class CorrectedSimulator(Simulator[CorrectedState]):
         traits = self.mechanistic.recognised(history)
         own = traits - self.mechanistic.added_traits
         plain, extended = self._plain.known(history, own), self.mechanistic.known(history, traits)
-        if isinstance(self.learned, PaperSimulator):
+        if isinstance(self.learned, PaperSimulator | RememberingSimulator):
             return CorrectedState(self.learned.watch(history), plain, extended)
         without = replace(history, points_cm=history.points_cm - self._added_cm(history, own, traits))
         learned = self.learned.known(history, self.learned.recognised(without))

@@ -14,12 +14,13 @@ KINDS: Final = {
     "paper": "flora_lab.simulator.paper:PaperSimulator",
     "sequence": "flora_lab.simulator.sequence:SequenceSimulator",
     "mechanistic": "flora_lab.simulator.rod_simulator:RodSimulator",
+    "remembering": "flora_lab.simulator.remembering:RememberingSimulator",
     "corrected": "flora_lab.simulator.corrected:CorrectedSimulator",
 }
 """``kind`` in ``simulator.toml`` to the class that reads it, with ``from_stored(stored)``. Imported when it is needed:
 a kind's libraries take their time."""
-EXTENDED: Final = ("mechanistic", "corrected")
-"""Kinds whose plants can have named effects beside."""
+EXTENDED: Final = ("mechanistic", "remembering", "corrected")
+"""Kinds whose plants can have named effects beside, or are without named errors."""
 
 
 def load(path: Path) -> Simulator[Any]:
