@@ -11,6 +11,7 @@ next-experiment.toml  the light that would tell what these runs cannot
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -30,7 +31,9 @@ from flora_lab.diagnose.page import page
 from flora_lab.diagnose.schedules import CHOICE, write_experiment
 from flora_lab.diagnose.work import Result
 from flora_lab.effects.catalogue import BY_NAME
-from flora_lab.simulator.store import Extension, TrackEntry, write_simulator
+from flora_lab.simulator.corrected import CorrectedSimulator
+from flora_lab.simulator.remembering import RememberingSimulator
+from flora_lab.simulator.store import Extension, Provenance, TrackEntry, write_simulator
 
 JSON_FILE: Final = "diagnosis.json"
 PAGE_FILE: Final = "report.html"
@@ -87,35 +90,38 @@ def _write_corrected(path: Path, result: Result) -> None:
     """A learned simulator beside which the mechanistic one adds what it lacks."""
     simulator = result.corrected
     assert simulator is not None
-    write_simulator(
-        path,
-        kind=simulator.kind,
-        step_s=simulator.step_s,
-        weights=simulator.weights(),
-        scales=simulator.scales(),
-        provenance=result.start.provenance,
-        extensions=simulator.extensions,
-    )
+    _write_learned(path, simulator, result.start.provenance, simulator.extensions)
 
 
 def _write_mended(path: Path, result: Result) -> None:
     """The paper's simulator with its clock set right and a memory beside it."""
     assert result.mended is not None
     assert result.start.judged is not None
-    simulator, learned = result.mended.simulator, result.start.judged.info.provenance
+    learned = result.start.judged.info.provenance
     told = [TrackEntry(run.name, run.plant, run.sha256, "memory") for run in result.runs.tracks]
+    extensions = [
+        Extension(cause.effect, dict(cause.parameters), cause.form)
+        for cause in result.diagnosis.causes
+        if BY_NAME[cause.effect].where == "simulator"
+    ]
+    provenance = msgspec.structs.replace(learned, track=[*learned.track, *told])
+    _write_learned(path, result.mended.simulator, provenance, extensions)
+
+
+def _write_learned(
+    path: Path,
+    simulator: CorrectedSimulator | RememberingSimulator,
+    provenance: Provenance,
+    extensions: Sequence[Extension],
+) -> None:
     write_simulator(
         path,
         kind=simulator.kind,
         step_s=simulator.step_s,
         weights=simulator.weights(),
         scales=simulator.scales(),
-        provenance=msgspec.structs.replace(learned, track=[*learned.track, *told]),
-        extensions=[
-            Extension(cause.effect, dict(cause.parameters), cause.form)
-            for cause in result.diagnosis.causes
-            if BY_NAME[cause.effect].where == "simulator"
-        ],
+        provenance=provenance,
+        extensions=extensions,
     )
 
 
