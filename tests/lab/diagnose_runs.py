@@ -65,7 +65,8 @@ def change_of(effects: Effects, forms: Mapping[str, int] | None = None) -> Chang
     """What some effects change."""
     change = Change()
     for name, values in effects.items():
-        BY_NAME[name].forms[(forms or {}).get(name, 0)](change, values)
+        effect = BY_NAME[name]
+        effect.forms[(forms or {}).get(name, 0)](change, effect.with_usual(values))
     return change
 
 

@@ -22,6 +22,8 @@ from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.threads import one_blas_thread
 
+SAGGING = [0.7, float(np.log(5.0)), float(np.log(0.05))]
+"""Coordinates of a typical sag."""
 NONE_LEFT, MUCH_LEFT = Left(share=1.0, p_value=0.8, explained=0.9), Left(share=3.0, p_value=1e-5, explained=0.1)
 
 
@@ -62,7 +64,7 @@ def cause_of(gains: dict[str, float], name: str, coordinates: list[float], left:
 )
 def test_confidences_are_probabilities(gains: dict[str, float], best: float) -> None:
     others = {name: min(gain, best - 1e-6) for name, gain in gains.items() if name != "sag"}
-    cause = cause_of({"sag": best, **others}, "sag", [0.7])
+    cause = cause_of({"sag": best, **others}, "sag", SAGGING)
     assert 0.0 <= cause.confidence <= 1.0
     assert 0.0 <= cause.p_value <= 1.0
     assert cause.nats == round(best, 1)
@@ -73,21 +75,21 @@ def test_confidences_are_probabilities(gains: dict[str, float], best: float) -> 
 
 
 def test_more_evidence_is_more_confidence() -> None:
-    sure = [cause_of({"sag": gain, "draught": 1.0}, "sag", [0.7]).confidence for gain in (6.0, 12.0, 30.0, 300.0)]
+    sure = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).confidence for gain in (6.0, 12.0, 30.0, 300.0)]
     assert sure == sorted(sure)
     assert sure[0] < 0.9
     assert sure[-1] > 0.99
-    p_values = [cause_of({"sag": gain, "draught": 1.0}, "sag", [0.7]).p_value for gain in (6.0, 12.0, 30.0)]
+    p_values = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).p_value for gain in (6.0, 12.0, 30.0)]
     assert p_values == sorted(p_values, reverse=True)
     assert p_values[0] == pytest.approx(2.0 * np.exp(-6.0))
 
 
 def test_a_rival_takes_confidence_as_long_as_it_is_told_apart() -> None:
-    alone = cause_of({"sag": 15.0}, "sag", [0.7])
-    rival = cause_of({"sag": 15.0, "draught": 9.5}, "sag", [0.7])
+    alone = cause_of({"sag": 15.0}, "sag", SAGGING)
+    rival = cause_of({"sag": 15.0, "draught": 9.5}, "sag", SAGGING)
     assert rival.confidence < alone.confidence
     assert rival.confusable_with == []
-    near = cause_of({"sag": 15.0, "draught": 14.5}, "sag", [0.7])
+    near = cause_of({"sag": 15.0, "draught": 14.5}, "sag", SAGGING)
     assert near.confusable_with == ["draught"]
     assert near.confidence > rival.confidence  # it is one of the two
     assert "do not tell it from steady push to a side" in near.evidence
@@ -108,7 +110,7 @@ def test_what_light_hardly_tells_apart_is_named_with_it_unless_it_is_far_behind(
 
 def test_where_much_is_left_nothing_is_sure() -> None:
     gains = {"sag": 300.0, "draught": 1.0}
-    sure, unsure = (cause_of(gains, "sag", [0.7], left) for left in (NONE_LEFT, MUCH_LEFT))
+    sure, unsure = (cause_of(gains, "sag", SAGGING, left) for left in (NONE_LEFT, MUCH_LEFT))
     assert sure.confidence > 0.95
     assert unsure.confidence <= 0.5
     assert verdict_of([sure], NONE_LEFT) == "explained"
@@ -142,7 +144,7 @@ def test_intervals_are_wider_than_the_likelihood_has_them() -> None:
 
 
 def test_summaries_are_sentences() -> None:
-    cause = cause_of({"sag": 30.0}, "sag", [0.7])
+    cause = cause_of({"sag": 30.0}, "sag", SAGGING)
     told = {summary(causes, left) for causes in ([], [cause]) for left in (NONE_LEFT, MUCH_LEFT)}
     assert len(told) == 4
     assert all(text.endswith(".") and "\n" not in text for text in told)
@@ -150,7 +152,7 @@ def test_summaries_are_sentences() -> None:
 
 
 def test_what_comes_nearest_to_a_name_is_told_where_none_is_given() -> None:
-    found = found_of("sag", [0.1])
+    found = found_of("sag", [0.1, *SAGGING[1:]])
     named_one = explanation_of({"phototropic_gain": 1.8, "sag": 1.2}, found)
     none_named = replace(named_one, accepted=())
     text = nearest(none_named)

@@ -1,4 +1,4 @@
-"""A stem under its own weight bends until the bend is that of the shape that it has."""
+"""A stem under its own weight bends, within minutes, until the bend is that of the shape that it has."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import pytest
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.rod import CAPACITY, jit
-from flora_lab.simulator.sag import SOFTNESS_CM, elastic_bends
+from flora_lab.simulator.sag import SETTLING_H, SOFTNESS_CM, elastic_bends
 from flora_lab.simulator.terms import NEUTRAL, PUSH, SAG, Driven, ExtendedLaw, Seen
+from flora_lab.simulator.terms import SETTLING_H as SETTLING_TERM
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean
 
 Array = Any
@@ -21,7 +22,7 @@ LAW = ExtendedLaw(LampsSection())
 
 @jit
 def bends(length: Array, angle: Array, n: int, sag: float, out: Array) -> None:
-    elastic_bends(length, angle, n, sag, out)
+    elastic_bends(length, angle, n, sag, SOFTNESS_CM, out)
 
 
 def elastic(stems: Stems, sag: float) -> Array:
@@ -31,16 +32,24 @@ def elastic(stems: Stems, sag: float) -> Array:
     return np.cumsum(out[:n])
 
 
-def pushed(sag: float, hours: float = 12.0) -> Stems:
-    """An upright stem that hardly grows and feels nothing, bent to the right by a steady push."""
+def pushed(
+    sag: float,
+    hours: float = 12.0,
+    *,
+    push: float = 0.004,
+    growth_cm_per_day: float = 1e-4,
+    settling_h: float = SETTLING_H,
+    stems: Stems | None = None,
+) -> Stems:
+    """A stem that feels nothing, bent to the right by a steady push; upright, and hardly growing, if not told."""
     traits = prior_mean().copy()
     for name in ("growth_early_cm_per_day", "growth_late_cm_per_day"):
-        traits[NAMES.index(name)] = np.log(1e-4)
+        traits[NAMES.index(name)] = np.log(growth_cm_per_day)
     for name in ("graviception_per_cm_h", "photoception_per_cm_h", "proprioception_per_h"):
         traits[NAMES.index(name)] = np.log(1e-9)
     terms = NEUTRAL.copy()
-    terms[PUSH], terms[SAG] = 0.004, sag
-    stems = standing(LAW, (np.linspace(0.0, 18.0, 10)[:, None] * np.array([0.0, 1.0]))[None])
+    terms[PUSH], terms[SAG], terms[SETTLING_TERM] = push, sag, settling_h
+    stems = stems or standing(LAW, (np.linspace(0.0, 18.0, 10)[:, None] * np.array([0.0, 1.0]))[None])
     still = np.zeros((round(hours / STEP_H), 1))
     driven = Driven(np.zeros((len(still), 1, 2)), still, still, still + 1.0, still + 1.0, still)
     out = np.empty((len(still), 1, 10, 2))
@@ -74,3 +83,43 @@ def test_it_is_softest_at_the_tip() -> None:
     # A straight stem that leans: the moment of what is above goes with the square of its length.
     share = out[1:n] / (above_cm[1:] ** 2 * np.exp(-above_cm[1:] / SOFTNESS_CM))
     assert share == pytest.approx(np.full(n - 1, share[0]), rel=0.02)
+
+
+def test_what_grows_and_is_cut_in_two_sags_no_less() -> None:
+    """Joints before and after a segment is cut are others; what weight has bent stays bent."""
+    light, heavy = (pushed(sag, 24.0, growth_cm_per_day=6.0, push=0.002) for sag in (0.0, 0.01))
+    n = int(light.count[0])
+    assert n == heavy.count[0] >= pushed(0.0).count[0] + 5
+    by_weight = heavy.angle[0, :n] - light.angle[0, :n]
+    assert by_weight[-1] > 0.1
+    assert by_weight == pytest.approx(elastic(heavy, 0.01), rel=0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize("settling_h", [0.05, 0.2])
+def test_a_bend_is_come_to_with_its_time_constant(settling_h: float) -> None:
+    """One that adds little to itself: what is left of it falls e-fold."""
+    bent = pushed(1e-4)
+    bent.memory[:] = 0.0
+    straight = bent.copy()
+    by_growth = float(straight.angle[0, int(straight.count[0]) - 1])
+
+    def tip_rad(hours: float, sag: float) -> float:
+        # At rest with next to no weight, so that the bend that is remembered is none.
+        stems = pushed(1e-9, STEP_H, push=0.0, settling_h=settling_h, stems=straight.copy())
+        now = pushed(sag, hours, push=0.0, settling_h=settling_h, stems=stems)
+        return float(now.angle[0, int(now.count[0]) - 1]) - by_growth
+
+    whole = tip_rad(24.0 * settling_h, 1e-4)
+    left = [1.0 - tip_rad(steps * STEP_H, 1e-4) / whole for steps in (1, 2)]
+    expected = np.exp(-np.array([1, 2]) * STEP_H / settling_h)
+    assert left == pytest.approx(expected, rel=0.1, abs=0.01)
+
+
+def test_a_stem_that_another_one_s_bends_are_remembered_of_is_at_rest() -> None:
+    """Where a record begins anew, the stem is what was measured there, and what was remembered was of another one."""
+    bent, other = pushed(0.01), pushed(0.0, push=0.006)
+    swapped = Stems(other.length.copy(), other.angle.copy(), other.count.copy(), bent.memory.copy())
+    fresh = Stems(other.length.copy(), other.angle.copy(), other.count.copy(), np.zeros_like(bent.memory))
+    after = [pushed(0.01, 1.0, push=0.0, stems=stems).angle[0] for stems in (swapped, fresh)]
+    assert after[0].tobytes() == after[1].tobytes()
+    assert after[0][:20] == pytest.approx(other.angle[0][:20], abs=0.02)

@@ -29,6 +29,8 @@ from flora_lab.simulator.terms import (
     NEUTRAL,
     PEAK_H,
     RIGHT_TO_LEFT,
+    SETTLING_H,
+    SOFTNESS_CM,
     Driven,
     ExtendedLaw,
     Seen,
@@ -53,7 +55,7 @@ START_SD: Final = np.array([0.02, 0.04])
 _OF_ANY_TIME: Final = np.sqrt(12.0)
 """A length over the standard deviation of a place that is anywhere in it."""
 TEMPERATURE: Final = "temperature_c"
-_OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY]
+_OF_A_KIND: Final = [ADAPTATION_H, PEAK_H, ACTIVITY, SOFTNESS_CM, SETTLING_H]
 """Terms that say of what kind another one is: they do not add up."""
 
 
@@ -247,7 +249,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (19,)."""
+        """The simulator's own terms with what is changed besides, shape (21,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -326,7 +328,7 @@ class Scene:
     def _changed(
         self, changes: Sequence[Change], every: int, shone: Sequence[Array] | None
     ) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 19) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 21) and light (steps, lanes, 2) of changes."""
         time_h = (np.arange(self.steps // every) + 1) * every * self.step_h
         turn = np.stack([c.turned_rad(time_h) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])

@@ -38,6 +38,7 @@ class Parameter:
         starts: values from which a search sets out, where ``none`` will not do.
         least: how far from ``none`` a value must be to be worth a name. Of what shows strongly in every run, so little
             is within what no law is right to.
+        usual: what it is where an extension does not tell it; None for a number that must be told.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Parameter:
     source: str
     starts: tuple[float, ...] = ()
     least: float = 0.0
+    usual: float | None = None
 
     def coordinate(self, value: float) -> float:
         """In which the search moves: the logarithm on a ``log`` scale."""
@@ -121,7 +123,7 @@ class Change:
 
     Attributes:
         traits: added to the logarithms of the plant's constants, shape (9,).
-        terms: see :mod:`flora_lab.simulator.terms`, shape (19,).
+        terms: see :mod:`flora_lab.simulator.terms`, shape (21,).
         turn_deg: of the camera, positive when stems look as if they leant more to the right.
         drift_deg: the same, growing from 0 to this over 72 h.
         scale: centimetres that the camera takes one for.
@@ -190,6 +192,10 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
+
+    def with_usual(self, values: Values) -> Values:
+        """Values of the parameters, those that are not told as usual."""
+        return {**{p.name: p.usual for p in self.parameters if p.usual is not None}, **values}
 
     @property
     def is_of_constants(self) -> bool:

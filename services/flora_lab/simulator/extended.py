@@ -46,7 +46,7 @@ def change_of(extensions: Sequence[Extension], where: str) -> Change:
     change = Change()
     for extension in extensions:
         effect = _effect_of(extension, where)
-        effect.forms[extension.form](change, extension.parameters)
+        effect.forms[extension.form](change, effect.with_usual(extension.parameters))
     return change
 
 
@@ -65,10 +65,11 @@ def _effect_of(extension: Extension, where: str) -> Effect:
     for name in extension.parameters:
         if name not in effect.names:
             raise BadInput(f"{told} has no parameter `{name[:40]}`{did_you_mean(name, effect.names)}")
+    values = effect.with_usual(extension.parameters)
     for parameter in effect.parameters:
-        if parameter.name not in extension.parameters:
+        if parameter.name not in values:
             raise BadInput(f"{told} lacks its parameter `{parameter.name}`")
-        value = extension.parameters[parameter.name]
+        value = values[parameter.name]
         if not _is_thinkable(parameter, value):
             raise BadInput(
                 f"{told}: `{parameter.name}` is {value:g}; {parameter.low:g} to {parameter.high:g} are plausible, and "

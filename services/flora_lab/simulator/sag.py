@@ -1,4 +1,9 @@
-"""A stem that sags under its own weight: bent elastically and at once, most where it is soft."""
+"""A stem that sags under its own weight: bent elastically, most where it is soft, and within minutes.
+
+What weight bends is not at rest at once: fibres slide, as in any fresh stem that is loaded (Kelvin-Voigt: an elastic
+bend that is come to with a time constant). A stem that bends leans farther, and then bends more; where that comes to
+nearly as much as it began with, coming to rest takes many times the constant, and the tip swings over late and far.
+"""
 
 from __future__ import annotations
 
@@ -9,38 +14,39 @@ import numpy.typing as npt
 
 from flora_lab.simulator.fast_functions import fast_exp, inlined
 from flora_lab.simulator.fast_scratch import scratch
-from flora_lab.simulator.rod import CAPACITY, along, directions, whole_registers
+from flora_lab.simulator.rod import CAPACITY, along, directions, split, whole_registers
 
 Array = npt.NDArray[Any]
 
 SOFTNESS_CM: Final = 5.0
 """E-fold of elastic softness with distance from the tip; of the modulus it is 5.0 cm (3.5-6.3), Ohad et al., 54 plants.
 How far from the tip a stem still bends by growing is another matter, and fitted."""
+SETTLING_H: Final = 0.05
+"""Time constant with which a bend is come to."""
+_PARTS: Final = 4
+"""In so many parts of a step a stem bends again under its own bend."""
 _MOST_SAG: Final = 0.5
-"""The elastic bend of one joint, rad, beyond which no stem is taken to go in one step."""
-_MOST_TIMES: Final = 24
-_STILL: Final = 1e-6
-"""How often a stem bends again under its own bend, at most, and the angle, rad, below which it is at rest."""
-_FARTHEST: Final = 9.0
-"""How far two bends are followed to where all end, in units of the second."""
-_TINY: Final = 1e-24
+"""The elastic bend of one joint, rad, beyond which no stem is taken to go."""
+BENT: Final = (1 + CAPACITY // 2, 2)
+"""What is remembered of bends. First how many segments, and the sum of whose angles, they are the bends of; then the
+angle of each segment that is elastic, two in a row."""
 
 
 @inlined
-def elastic_bends(length: Array, angle: Array, n: int, sag: float, out: Array) -> None:
-    """The elastic bend of each joint under the weight above it, rad; ``out`` is written."""
+def elastic_bends(length: Array, angle: Array, n: int, sag: float, softness_cm: float, out: Array) -> None:
+    """The elastic bend of each joint under the weight above it once it is at rest, rad; ``out`` is written."""
     compliance = scratch(np.float64, CAPACITY)
-    _compliance(length, n, sag, compliance)
+    _compliance(length, n, sag, softness_cm, compliance)
     _bends(length, angle, n, compliance, out)
 
 
 @inlined
-def _compliance(length: Array, n: int, sag: float, out: Array) -> None:
+def _compliance(length: Array, n: int, sag: float, softness_cm: float, out: Array) -> None:
     """How much each joint bends under a moment, rad/cm^2; ``out`` is written."""
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     for j in range(whole_registers(n)):
-        out[j] = sag * reach[j] * fast_exp(-(total - arc[j]) / SOFTNESS_CM)
+        out[j] = sag * reach[j] * fast_exp(-(total - arc[j]) / softness_cm)
 
 
 @inlined
@@ -60,42 +66,69 @@ def _bends(length: Array, angle: Array, n: int, compliance: Array, out: Array) -
 
 
 @inlined
-def settle(length: Array, angle: Array, n: int, sag: float, before: Array) -> None:
-    """Bend a stem that has grown until its elastic bends are those of the shape that it then has, in place.
+def recall(length: Array, angle: Array, n: int, sag: float, softness_cm: float, bent: Array, out: Array) -> None:
+    """The angle of each segment that is elastic, rad, by what is remembered; ``out`` is written.
 
-    A stem that bends leans farther, and then bends more. What it would bend more by is not there to be added in a later
-    step, which begins from the shape as it is: left out, half of a soft stem's sag would be lost. Each bend brings it
-    nearer by much the same share, so that two of them tell where all would end (Anderson 1965, of depth one).
+    A stem that is not the one that was bent is taken to be at rest.
 
     Args:
-        length, angle, n: the stem, before it bends.
-        sag: see :func:`elastic_bends`.
-        before: bends that are in its angles already, rad, shape (CAPACITY,).
+        length, angle, n: the stem.
+        sag, softness_cm: see :mod:`flora_lab.simulator.terms`.
+        bent: what is remembered, shape :data:`BENT`.
     """
-    grown, now = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    bent, moved = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
-    compliance = scratch(np.float64, CAPACITY)
-    _compliance(length, n, sag, compliance)
-    for j in range(n):
-        grown[j] = bent[j] = angle[j]
-        moved[j] = 0.0
-    for _ in range(_MOST_TIMES):
+    turn = 0.0
+    if bent[0, 0] == n and bent[0, 1] == _sum(angle, n):
+        for j in range(n):
+            out[j] = bent[1 + j // 2, j % 2]
+    else:
+        elastic_bends(length, angle, n, sag, softness_cm, out)
+        for j in range(n):
+            turn += out[j]
+            out[j] = turn
+
+
+@inlined
+def settle(
+    length: Array, angle: Array, n: int, sag: float, softness_cm: float, settling_h: float, dt_h: float, elastic: Array
+) -> None:
+    """Bend a stem that has grown towards where its elastic bends are those of its shape, in place.
+
+    Args:
+        length, angle, n: the stem.
+        sag, softness_cm, settling_h: see :mod:`flora_lab.simulator.terms`.
+        dt_h: for so long.
+        elastic: the angle of each segment that is elastic, rad, shape (CAPACITY,); what it is then is written.
+    """
+    compliance, now = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
+    _compliance(length, n, sag, softness_cm, compliance)
+    share = 1.0 - fast_exp(-dt_h / (_PARTS * settling_h))
+    for _ in range(_PARTS):
         _bends(length, angle, n, compliance, now)
-        turn = farthest = along_change = of_change = 0.0
+        turn = 0.0
         for j in range(n):
-            turn += now[j] - before[j]
-            now[j] = grown[j] + turn
-            move = now[j] - angle[j]
-            farthest = max(farthest, abs(move))
-            change = move - moved[j]
-            moved[j] = move
-            along_change += change * move
-            of_change += change * change
-        # Only forwards: where bends grow, what two of them point to is where a stem stands that the least push fells.
-        share = min(max(along_change / of_change, -_FARTHEST), 0.0) if of_change > _TINY else 0.0
-        is_still = farthest < _STILL
-        for j in range(n):
-            angle[j] = now[j] if is_still else now[j] - share * (now[j] - bent[j])
-            bent[j] = now[j]
-        if is_still:
-            break
+            turn += now[j]
+            more = share * (turn - elastic[j])
+            elastic[j] += more
+            angle[j] += more
+
+
+@inlined
+def split_and_remember(length: Array, angle: Array, n: int, elastic: Array, bent: Array) -> int:
+    """As :func:`flora_lab.simulator.rod.split`; what is elastic is remembered of the stem that is left."""
+    whole = scratch(np.float64, CAPACITY)
+    for j in range(n):
+        whole[j] = length[j]
+    split(whole, elastic, n)
+    segments = int(split(length, angle, n))
+    bent[0, 0], bent[0, 1] = segments, _sum(angle, segments)
+    for j in range(segments):
+        bent[1 + j // 2, j % 2] = elastic[j]
+    return segments
+
+
+@inlined
+def _sum(angle: Array, n: int) -> float:
+    total = 0.0
+    for j in range(n):
+        total += angle[j]
+    return total

@@ -13,8 +13,9 @@ step:
 - growth follows a rhythm of ``DIURNAL`` about its mean that is highest ``PEAK_H`` after the start, and is
   ``exp(PER_DEGREE)`` times as fast with each degree. Bending follows growth to the power of ``ACTIVITY``: 0 where it
   does not care, 1 where both are one activity, as in Bastien et al. 2015;
-- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness, bends it elastically and at once, and the
-  stem feels that bend as any other;
+- the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness at the tip, which falls e-fold within
+  ``SOFTNESS_CM``, bends it elastically, with ``SETTLING_H`` as time constant, and the stem feels that bend as any
+  other;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
   ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
@@ -30,11 +31,11 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.runs import LampsSection
+from flora_lab.simulator import sag
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane
-from flora_lab.simulator.sag import elastic_bends, settle
+from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane, split
 from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_step_lane
 
 Array = npt.NDArray[Any]
@@ -42,19 +43,20 @@ Array = npt.NDArray[Any]
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
 BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE, EVEN_LIGHT = range(11, 19)
+SOFTNESS_CM, SETTLING_H = range(19, 21)
 """Columns of the terms."""
-TERMS: Final = 19
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 5)])
-"""Values at which nothing is changed, shape (19,)."""
+TERMS: Final = 21
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 7), sag.SOFTNESS_CM, sag.SETTLING_H])
+"""Values at which nothing is changed, shape (21,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
 _SLOTS: Final = 25
 """Five minutes each in the longest delay, and one that is being written."""
-_ADAPTED, _CLOCK, _LINE = 2, 3, 4
+_ADAPTED, _CLOCK, _LINE, _BENT = 2, 3, 4, 4 + _SLOTS
 """Rows of the memory, after what is seen of the lamps: how far each lamp is adapted to; hours since the start, and
-hours of which the delay line was told; the delay line, one row of lamp levels per five minutes."""
-MEMORY: Final = (_LINE + _SLOTS, 2)
+hours of which the delay line was told; the delay line, one row of lamp levels per five minutes; bends under weight."""
+MEMORY: Final = (_BENT + sag.BENT[0], 2)
 
 _DAY_H: Final = 24.0
 _LIT: Final = 1e-6
@@ -141,7 +143,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (19,).
+        t: the terms, shape (21,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
@@ -152,10 +154,10 @@ def extended_step_lane(
     factor = _growth_factor(time_h, warmth_c, t)
     activity = 1.0 if t[ACTIVITY] == 0.0 else float(factor ** t[ACTIVITY])
     memory[_CLOCK, 0] = time_h + dt_h
-    before = scratch(np.float64, CAPACITY)
+    elastic = scratch(np.float64, CAPACITY)
     if t[SAG] != 0.0:
-        elastic_bends(length, angle, n, t[SAG], before)
-    segments = driven_step_lane(
+        sag.recall(length, angle, n, t[SAG], t[SOFTNESS_CM], memory[_BENT:], elastic)
+    driven_step_lane(
         length,
         angle,
         n,
@@ -174,10 +176,10 @@ def extended_step_lane(
         Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE], t[SIDE_ALONE], t[EVEN_LIGHT]),
         dt_h,
     )
-    # A step in which segments were split has no elastic part: joints before and after it are others.
-    if t[SAG] != 0.0 and segments == n:
-        settle(length, angle, n, t[SAG], before)
-    return segments
+    if t[SAG] == 0.0:
+        return int(split(length, angle, n))
+    sag.settle(length, angle, n, t[SAG], t[SOFTNESS_CM], t[SETTLING_H], dt_h, elastic)
+    return int(sag.split_and_remember(length, angle, n, elastic, memory[_BENT:]))
 
 
 @jit
@@ -290,7 +292,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (19,).
+        terms: shape (21,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -347,7 +349,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 19).
+            terms: shape (batch, 21).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """

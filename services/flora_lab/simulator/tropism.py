@@ -208,9 +208,12 @@ def driven_step_lane(
     activity: float,
     form: Form,
     dt_h: float,
-) -> int:
+) -> None:
     """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others,
-    the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts."""
+    the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts.
+
+    Long segments are left whole: whoever takes the step cuts them, see :func:`flora_lab.simulator.rod.split`.
+    """
     arc, reach = scratch(np.float64, CAPACITY), scratch(np.float64, CAPACITY)
     total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
@@ -235,7 +238,6 @@ def driven_step_lane(
     )
     grown_cm = max(0.0, growth) * _growth_cm_per_h(total, p, form.spurt_more) * dt_h
     elongate(length, n, arc, total, p[GROWTH_ZONE], grown_cm)
-    return int(split(length, angle, n))
 
 
 @jit
@@ -253,9 +255,10 @@ def step_lane(
     dt_h: float,
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
-    return driven_step_lane(
+    driven_step_lane(
         length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, 0.0, 0.0, growth, 1.0, AS_WRITTEN, dt_h
     )
+    return int(split(length, angle, n))
 
 
 def _lanes(
