@@ -155,20 +155,23 @@ class Explainer:
             effect, fit = tried[0].effect, search.fitted(joint, before, tried[0].found, 12)
             tried[0] = _tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
+        beside: tuple[Joint, Found] | None = None
         if swing is None:
             own = self._swing(before)
-            if own.gain > 0.0:
+            if own.gain > 0.0 and own.swing is not None:
+                swinging = self._joint(own.swing)
+                beside = swinging, swinging.fit(_started(before), 12)
                 # A swing explains something of the hours' means, too, and a cause may make fast errors vanish.
-                slow = max(
+                slower = swinging.probability(beside[1]) - joint.probability(before)
+                faster = max(
                     (t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0
                 )
-                own = replace(own, gain=own.gain + max(0.0, self._slower(joint, before, own)))
-                tried.insert(0 if own.gain > slow else 1, own)
+                own = replace(own, gain=own.gain + max(0.0, slower))
+                tried.insert(0 if own.gain > faster else 1, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
-        own_swing = found.tried[0].swing
-        if own_swing is not None and found.has_no_name(self.nameless):
+        if beside is not None and found.tried[0].swing is not None and found.has_no_name(self.nameless):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
-            found = replace(found, unnamed=self._unnamed_beside(own_swing, before))
+            found = replace(found, unnamed=unnamed(*beside, self.scenes, self._answers))
         if swing is not None or before.hypothesis.causes:
             return found
         if found.has_no_name(self.nameless):
@@ -176,10 +179,6 @@ class Explainer:
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
         return found
-
-    def _unnamed_beside(self, swing: Swing, before: Found) -> Unnamed | None:
-        joint = self._joint(swing)
-        return unnamed(joint, joint.fit(_started(before), 12), self.scenes, self._answers)
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""
@@ -221,11 +220,6 @@ class Explainer:
                 rest, moved = spectra_of(scene, found, i)
                 total += sign * rhythm.improbability(rest, self.known.swings.expectations(moved))
         return total
-
-    def _slower(self, joint: Joint, before: Found, own: Tried) -> float:
-        """Nats by which hours' means are more probable if the tip swings, than as they are before it."""
-        beside = self._joint(own.swing)
-        return beside.probability(beside.fit(_started(before), 12)) - joint.probability(before)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
