@@ -39,6 +39,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         elsewhere: pictures in a row in which something ended farther off than a stem grows, and was not believed.
         sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
         near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
+        petiole: for how many more clear pictures the line is doubted, because it was a petiole's.
     """
 
     line_px: list[tuple[float, float]]
@@ -49,6 +50,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     elsewhere: int = 0
     sure: bool = True
     near: Nearby | None = None
+    petiole: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,7 @@ class State:
     Attributes:
         measured_cm: length of the stem in this picture by itself.
         followed: the apex of the picture before in this one.
-        length, apex, elsewhere, sure, near: see :class:`Memory`.
+        length, apex, elsewhere, sure, near, petiole: see :class:`Memory`.
     """
 
     length: LengthState
@@ -68,6 +70,7 @@ class State:
     near: Nearby | None
     elsewhere: int = 0
     sure: bool = True
+    petiole: int = 0
 
 
 def before_of(memory: Memory | None, time_s: float) -> Before | None:
@@ -107,7 +110,16 @@ def remembered(
     line = _points(np.concatenate([line_px[:-1:LINE_KEPT_EVERY], line_px[-1:]]))
     near = state.near if outcome == OK or state.elsewhere else None
     apex = state.apex and judged(state.apex, is_sure=outcome == OK)
-    return Memory(line, belief, seen, apex=apex, elsewhere=state.elsewhere, sure=state.sure, near=near)
+    return Memory(
+        line,
+        belief,
+        seen,
+        apex=apex,
+        elsewhere=state.elsewhere,
+        sure=state.sure,
+        near=near,
+        petiole=state.petiole,
+    )
 
 
 def _as_of_now(memory: Memory, state: State) -> Memory:

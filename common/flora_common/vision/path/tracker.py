@@ -12,7 +12,7 @@ import numpy as np
 from flora_common.geometry import FloatArray, resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
-from flora_common.vision.path import curve, doubts, length, nearby
+from flora_common.vision.path import curve, doubts, forks, length, nearby
 from flora_common.vision.path.apex import Apex, Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Sampler, Stem, arc_length
@@ -207,7 +207,8 @@ class PathTracker:
         doubt = doubt or self._doubt_of_start(sight, fit.chain, final)
         unseen_cm = doubts.longest_gap_px(fit.chain) / scale
         alone = fit.chain.worth_cm - fit.chain.rival_cm > CLEAR_CHOICE_CM
-        sure = before is not None or (alone and unseen_cm < doubts.LONGEST_UNSEEN_CM)
+        petiole = self._petiole(final, strands)
+        sure = before is not None or (alone and unseen_cm < doubts.LONGEST_UNSEEN_CM and not petiole)
         unsure = "" if sure else "another part of the plant may as well be the stem"
         if alone and not sure:
             unsure = f"nothing is seen of it over {unseen_cm:.1f} cm; what goes on may be another plant"
@@ -219,12 +220,21 @@ class PathTracker:
             unsure = "it ends elsewhere than the apex before, which is still to be seen"
         if elsewhere > STEPS_BELIEVED:
             unsure = "another part of the plant has looked more like the stem for some time"
+        if petiole:
+            unsure = "it bears nothing but one leaf from a fork on, as a petiole does"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
         known = self.memory.near if self.memory is not None else None
         kept = near if alone or fit.held else nearby.since_clear(known, fit.reached, before, scale)
-        state = State(belief, fit.reached.length / scale, followed, apex, kept, elsewhere, sure)
+        state = State(belief, fit.reached.length / scale, followed, apex, kept, elsewhere, sure, petiole)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
+
+    def _petiole(self, stem: Stem, strands: Strands) -> int:
+        """For how many more clear pictures a line is doubted, because it is, or was, a petiole's."""
+        scale, memory = self.camera.px_per_cm, self.memory
+        same = memory is not None and math.dist(stem.line[-1], memory.line_px[-1]) < SAME_TIP_CM * scale
+        before = memory.petiole if memory is not None and same else 0
+        return forks.doubted_for(before, is_petiole=math.isfinite(forks.petiole_from(stem.line, strands, scale)))
 
     def _fitted(self, strands: Strands, sampler: Sampler, before: Before | None) -> _Fit | str:
         """What looks most like the stem, or why nothing does."""
