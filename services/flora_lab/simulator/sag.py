@@ -76,15 +76,13 @@ def recall(length: Array, angle: Array, n: int, sag: float, softness_cm: float, 
         sag, softness_cm: see :mod:`flora_lab.simulator.terms`.
         bent: what is remembered, shape :data:`BENT`.
     """
-    turn = 0.0
-    if bent[0, 0] == n and bent[0, 1] == _sum(angle, n):
+    if bent[0, 0] == n and bent[0, 1] == angle[:n].sum():
         for j in range(n):
             out[j] = bent[1 + j // 2, j % 2]
     else:
         elastic_bends(length, angle, n, sag, softness_cm, out)
-        for j in range(n):
-            turn += out[j]
-            out[j] = turn
+        for j in range(1, n):
+            out[j] += out[j - 1]
 
 
 @inlined
@@ -120,15 +118,7 @@ def split_and_remember(length: Array, angle: Array, n: int, elastic: Array, bent
         whole[j] = length[j]
     split(whole, elastic, n)
     segments = int(split(length, angle, n))
-    bent[0, 0], bent[0, 1] = segments, _sum(angle, segments)
+    bent[0, 0], bent[0, 1] = segments, angle[:segments].sum()
     for j in range(segments):
         bent[1 + j // 2, j % 2] = elastic[j]
     return segments
-
-
-@inlined
-def _sum(angle: Array, n: int) -> float:
-    total = 0.0
-    for j in range(n):
-        total += angle[j]
-    return total
