@@ -29,7 +29,8 @@ if [ ${#missing[@]} -gt 0 ]; then
         echo "installing ${missing[*]}"
         export DEBIAN_FRONTEND=noninteractive
         apt-get update -qq
-        apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+        # A Pi that has just been started may be at its own upgrades.
+        apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
     else
         echo "make setup: these system packages are needed first: ${missing[*]}" >&2
         echo "  on Debian, Ubuntu and Raspberry Pi OS: sudo apt install ${missing[*]}" >&2
