@@ -30,9 +30,10 @@ import scipy.stats  # noqa: E402
 from tests.discovery.worlds.case import draw_case  # noqa: E402
 from tests.discovery.worlds.writing import write_case  # noqa: E402
 
+from flora_lab.diagnose.cross_fit import learn_from  # noqa: E402
 from flora_lab.diagnose.explain import Explainer  # noqa: E402
 from flora_lab.diagnose.inputs import read_reference, read_runs  # noqa: E402
-from flora_lab.diagnose.knowledge import Knowledge, learn_from  # noqa: E402
+from flora_lab.diagnose.knowledge import Knowledge  # noqa: E402
 from flora_lab.diagnose.next_experiment import candidates_of, next_experiment  # noqa: E402
 from flora_lab.diagnose.verdict import NOTHING_FIRST, TEMPERATURE  # noqa: E402
 from flora_lab.effects.catalogue import BY_NAME  # noqa: E402

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
-from flora_lab.diagnose.knowledge import Knowledge, learn_from
+from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.threads import one_blas_thread
 

@@ -13,8 +13,9 @@ import numpy.typing as npt
 from noise_courses import first_order
 
 from flora_common.runs import LEVELS, LampsSection, Light, track_text
+from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.joint import Base
-from flora_lab.diagnose.knowledge import Knowledge, learn_from
+from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change

@@ -10,9 +10,10 @@ import pytest
 from diagnose_runs import REFERENCE, SPREAD, TYPICAL, base, known, scene_of, scenes_of
 
 from flora_lab.diagnose import chance, learn
+from flora_lab.diagnose.cross_fit import ROUNDS, learn_from
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Base, Found
-from flora_lab.diagnose.knowledge import ROUNDS, blocks, law_of, learn_from, spectra_of
+from flora_lab.diagnose.knowledge import LAW_ROUNDS, blocks, law_of, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.terms import EVEN_LIGHT, SIDE_ALONE
@@ -122,7 +123,7 @@ def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> N
     with one_blas_thread():
         told: list[None] = []
         law, best = law_of([scene_of(seed, change=change) for seed in REFERENCE[:4]], lambda: told.append(None))
-    assert len(told) == ROUNDS - 1  # whichever law it is
+    assert len(told) == LAW_ROUNDS  # whichever law it is
     assert len(best.fits) == 4
     assert [one.effect for one in law] == list(forms)
 

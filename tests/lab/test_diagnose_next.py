@@ -20,10 +20,10 @@ from flora_common.runs import LEVELS
 from flora_common.toml_strict import convert, read_toml
 from flora_controller.core import ControllerSection
 from flora_lab.diagnose import chance
+from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.explanation import Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Base, Found, Joint, ready
-from flora_lab.diagnose.knowledge import learn_from
 from flora_lab.diagnose.next_experiment import (
     CLOSE_NATS,
     MOST,

@@ -48,6 +48,7 @@ def bits(one: Knowledge) -> dict[str, bytes]:
         "error_doubt": one.errors.doubt,
         "left": one.left,
         "swing_evidence": one.swing_evidence,
+        "cross_fit": one.cross_fit,
         **{name: getattr(one.base, name) for name in one.base.__slots__ if name != "runs"},
         **{f"shown.{name}": array for name, array in as_arrays(one.residuals).items()},
     }

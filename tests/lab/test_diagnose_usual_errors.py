@@ -9,9 +9,10 @@ import pytest
 from diagnose_runs import REFERENCE, TYPICAL, change_of, known, scene_of
 
 from flora_lab.diagnose import chance, usual_errors
+from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
-from flora_lab.diagnose.knowledge import Knowledge, learn_from
+from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.scene import Lanes
 from flora_lab.diagnose.usual_errors import (
     UsualErrors,

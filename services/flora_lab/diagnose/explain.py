@@ -24,6 +24,11 @@ Array = npt.NDArray[Any]
 
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
+_FOUND_IN_HEALTHY: Final = 2.0
+"""Nats that are needed besides, for each that healthy runs show for a cause, in the median of the folds, beyond
+:data:`_BY_CHANCE`; and at most."""
+_BY_CHANCE: Final = 0.5
+_MOST_DOUBT: Final = 4.0
 FORM: Final = 0.015
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
@@ -56,7 +61,7 @@ class Explainer:
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
         self.known = known
-        doubt = _DOUBT * max(0.0, known.errors.beyond_expected)
+        doubt = _doubt_of(known) * max(1.0, len(scenes) / _RUNS)
         self.claim = CLAIM + doubt
         self.nameless = NAMELESS * max(1.0, len(scenes) / _RUNS) + doubt
         self._on_step = on_step
@@ -65,27 +70,15 @@ class Explainer:
 
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
-        alone = self._all_alone()
-        self._answer(_side_by_side(alone))
+        alone, joint, null = self._begun()
         swing: Swing | None = None
-        joint = self._joint(swing)
-        null = joint.fit(_side_by_side(alone), 12)
-        if self._is_much(null):
-            # What is very wrong with the runs may have led each of them far astray.
-            null = max(null, joint.fit(joint.null(), 12), key=lambda fit: fit.evidence)
         found = null
         stages: list[Stage] = []
         accepted: list[Accepted] = []
         while len(stages) <= MOST_CAUSES:
-            stage = self.stage(joint, found, swing)
-            for _ in range(_RESTARTS if not stages else 1):
-                # What many causes seem to explain may be plants that were not found: once more from the winner's.
-                better = self._restarted(joint, stage)
-                if better.evidence < stage.before.evidence + 1.0:
-                    break
-                if not stages:
-                    null = better
-                stage = self.stage(joint, better, swing)
+            stage = self._settled(joint, found, swing, _RESTARTS if not stages else 1)
+            if not stages:
+                null = stage.before
             best = stage.tried[0]
             stages.append(stage)
             if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name(self.nameless):
@@ -112,6 +105,33 @@ class Explainer:
                     break
         beside = self._beside(stages[-1], accepted)
         return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
+
+    def first_stage(self) -> Stage:
+        """All causes on top of none."""
+        _, joint, null = self._begun()
+        return self._settled(joint, null, None, _RESTARTS)
+
+    def _begun(self) -> tuple[list[Found], Joint, Found]:
+        """Each run by itself, all together, and how they are without a cause."""
+        alone = self._all_alone()
+        self._answer(_side_by_side(alone))
+        joint = self._joint(None)
+        null = joint.fit(_side_by_side(alone), 12)
+        if self._is_much(null):
+            # What is very wrong with the runs may have led each of them far astray.
+            null = max(null, joint.fit(joint.null(), 12), key=lambda fit: fit.evidence)
+        return alone, joint, null
+
+    def _settled(self, joint: Joint, before: Found, swing: Swing | None, restarts: int) -> Stage:
+        """One step, once the plants are found: what many causes seem to explain may be plants that were not, and so
+        these are looked for again from the winner's."""
+        stage = self.stage(joint, before, swing)
+        for _ in range(restarts):
+            better = self._restarted(joint, stage)
+            if better.evidence < stage.before.evidence + 1.0:
+                break
+            stage = self.stage(joint, better, swing)
+        return stage
 
     def _needed(self, accepted: Sequence[Accepted]) -> float:
         """Nats that one cause more must have."""
@@ -272,6 +292,15 @@ class Explainer:
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)
+
+
+def _doubt_of(known: Knowledge) -> float:
+    """Nats that a cause needs besides in three runs, for the law has errors that look like causes."""
+    of_errors = _DOUBT * max(0.0, known.errors.beyond_expected)
+    if not len(known.cross_fit):
+        return of_errors
+    found = float(np.median(known.cross_fit))  # one odd plant makes one odd fold
+    return max(of_errors, min(_FOUND_IN_HEALTHY * max(0.0, found - _BY_CHANCE), _MOST_DOUBT))
 
 
 def _tried(before: Found, effect: Effect, fit: Found) -> Tried:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -30,8 +29,8 @@ _LAWS: Final = (SIDE_ALONE, EVEN_LIGHT)
 """In what the law may be another than it is written, tried in this order."""
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-ROUNDS: Final = learn.ROUNDS + len(_LAWS) + 1
-"""How often :func:`learn_from` tells that it has come farther."""
+LAW_ROUNDS: Final = learn.ROUNDS + len(_LAWS)
+"""How often :func:`law_of` tells that it has come farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +45,8 @@ class Knowledge:
         swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
         residuals: what the base gets wrong about its own runs.
         law: the forms of the law that its plants are under; none where it is as it is written.
+        cross_fit: nats for the best cause in reference runs by what the others tell, shape (folds,); empty where they
+            are too few. See :mod:`flora_lab.diagnose.cross_fit`.
     """
 
     base: Base
@@ -55,17 +56,17 @@ class Knowledge:
     swing_evidence: Array
     residuals: ReferenceResiduals
     law: tuple[Extension, ...] = ()
+    cross_fit: Array = field(default_factory=lambda: np.zeros(0))
 
 
-def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
-    """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
-    rounds = itertools.count(1)
+def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:
+    """All that runs tell beside their plants; but for :attr:`Knowledge.cross_fit`.
 
-    def told() -> None:
-        on_round(next(rounds))
-
-    law, best = law_of(scenes, told)
-    scenes = _under(law, scenes)
+    Args:
+        scenes: under the law.
+        best: learned from them.
+        law: its forms.
+    """
     base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
     runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
@@ -80,7 +81,6 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     spectra = [spectra_of(scene, end, 0) for scene, end in zip(scenes, ends, strict=True)]
     swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
-    told()
     shown = reference_residuals(scenes, base, ends)
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
 
@@ -97,7 +97,7 @@ def law_of(
     best = learn.learned(scenes, on_round)
     for form in _LAWS:
         other = (*law, Extension(form.name, {"amount": 1.0}))
-        there = _under(other, scenes)
+        there = under(other, scenes)
         rival = learn.learned_under(there, best)
         if rival.evidence > best.evidence + _RATHER:
             law, best = other, learn.learned_further(there, rival)
@@ -105,7 +105,8 @@ def law_of(
     return law, best
 
 
-def _under(law: Sequence[Extension], scenes: Sequence[Scene]) -> list[Scene]:
+def under(law: Sequence[Extension], scenes: Sequence[Scene]) -> list[Scene]:
+    """The same runs for a law of these forms."""
     return [scene.under(change_of(law, "law")) for scene in scenes]
 
 

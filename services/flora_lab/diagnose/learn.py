@@ -81,6 +81,12 @@ def learned_further(scenes: Sequence[Scene], so_far: Learned) -> Learned:
     return so_far
 
 
+def learned_by(scenes: Sequence[Scene], whole: Learned, kept: Sequence[int]) -> Learned:
+    """What some of the runs tell, from where all of them have come to: each plant stays as it was fitted."""
+    fits, parts = [whole.fits[i] for i in kept], [whole.parts[i] for i in kept]
+    return _together([scenes[i] for i in kept], replace(whole.base, runs=len(kept)), fits, parts)
+
+
 def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Learned:
     """One round more: each run's plant, what plants have in common, and what happens by chance about them."""
     alone = so_far.base.of_single_runs()
@@ -92,8 +98,14 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Le
         chance.covariances(scene, scene.answers(fit.traits[0], Change()))
         for scene, fit in zip(scenes, fits, strict=True)
     ]
-    linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
-    base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far.base)
+    return _together(scenes, so_far.base, fits, parts)
+
+
+def _together(scenes: Sequence[Scene], so_far: Base, fits: list[Found], parts: list[Array]) -> Learned:
+    """What the plants of fits have in common, and what happens by chance about them."""
+    alone = so_far.of_single_runs()
+    linear = [_linear(alone, *of_run) for of_run in zip(scenes, fits, parts, strict=True)]
+    base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far)
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
     return Learned(base, fits, parts, evidence)
 
@@ -125,10 +137,9 @@ def _are_near(fits: Sequence[Found]) -> list[bool]:
     return [bool((one / usual).max() <= _FAR_OFF) for one in away]
 
 
-def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
+def _linear(alone: Base, scene: Scene, fit: Found, parts: Array) -> Linear:
     """A run, from its own fit carried on to any plant: linear, because the typical one may stand elsewhere."""
-    scene = run.scene
-    told, slopes = Joint([run], alone).features_of(fit, 0)
+    told, slopes = Joint([ready(scene, alone, parts, together=0)], alone).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
     return Linear(scene.features - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]]), slopes, parts)
 

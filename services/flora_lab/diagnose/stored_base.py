@@ -43,6 +43,7 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "error_doubt": (sum(usual_errors.columns()), sum(usual_errors.columns())),
     "left": (None, 2),
     "swing_evidence": (None,),
+    "cross_fit": (None,),
 }
 
 
@@ -111,6 +112,7 @@ def write_known(
         "error_doubt": known.errors.doubt,
         "left": known.left,
         "swing_evidence": known.swing_evidence,
+        "cross_fit": known.cross_fit,
     } | {
         _SHOWN + name: np.where(np.isnan(array), _MISSING, array)
         for name, array in residuals.as_arrays(known.residuals).items()
@@ -165,6 +167,7 @@ def read_known(stored: Stored) -> Knowledge:
         values["swing_evidence"],
         _shown(stored),
         tuple(extension for extension in stored.info.extension if extension.effect in law_forms.BY_NAME),
+        values["cross_fit"],
     )
 
 

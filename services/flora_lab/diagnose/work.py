@@ -13,12 +13,13 @@ import msgspec
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
+from flora_lab.diagnose.cross_fit import ROUNDS, learn_from
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
-from flora_lab.diagnose.knowledge import ROUNDS, Knowledge, learn_from
+from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.mended_simulator import Mended
 from flora_lab.diagnose.mended_simulator import mended as mended_of
@@ -266,5 +267,6 @@ def _base_words(known: Knowledge) -> dict[str, Any]:
     return {
         "runs": known.base.runs,
         "law": law,
+        "cross_fit_nats": [round(float(nats), 1) for nats in known.cross_fit],
         "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()},
     }

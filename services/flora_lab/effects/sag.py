@@ -35,7 +35,7 @@ EFFECT: Final = Effect(
             meaning="elastic bend, 0.01 per cm^3 of softness at the tip",
             source="Ohad et al.: the modulus grows e-fold in 5 cm from the tip",
             starts=(0.7,),
-            least=0.05,
+            least=0.15,
         ),
         Parameter(
             name="softness_cm",

@@ -16,8 +16,9 @@ from flora_common.runs import LEVELS, LampsSection, Light
 from flora_common.shapes import STEM_POINTS
 from flora_common.tracks import Track
 from flora_lab.diagnose import record, stored_base
+from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.inputs import Runs, read_reference
-from flora_lab.diagnose.knowledge import Knowledge, learn_from
+from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.run_tracks import RunTrack
 from flora_lab.serve import departing
 from flora_lab.serve.departing import Watched

@@ -1,0 +1,59 @@
+"""Learning from reference runs, and what the same search finds in them if they are held out.
+
+Nothing is wrong with a reference run. Evidence for a cause in some of them, by what the others tell, is the law's own
+error, and as much of it is to be expected in measured runs: more is asked of a cause there. Which law is best and where
+each plant's fit ended is not learned anew for each fold; how plants differ, what happens by chance and what the law is
+wrong in is.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from flora_lab.diagnose import learn
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.knowledge import LAW_ROUNDS, Knowledge, known_of, law_of, under
+from flora_lab.diagnose.scene import Scene
+
+Array = npt.NDArray[Any]
+
+FOLDS: Final = 3
+LEAST_RUNS: Final = 6
+"""Fewer reference runs tell too little without a third of them."""
+ROUNDS: Final = LAW_ROUNDS + 1 + FOLDS
+"""How often :func:`learn_from` tells that it has come farther."""
+
+
+def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
+    """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
+    rounds = itertools.count(1)
+
+    def told() -> None:
+        on_round(next(rounds))
+
+    law, best = law_of(scenes, told)
+    scenes = under(law, scenes)
+    known = known_of(scenes, best, law)
+    told()
+    return replace(known, cross_fit=_held_out(scenes, best, known, told))
+
+
+def _held_out(
+    scenes: Sequence[Scene], best: learn.Learned, known: Knowledge, on_fold: Callable[[], None] = lambda: None
+) -> Array:
+    """See :attr:`Knowledge.cross_fit`. Folds take every third run, for references often come sorted by their light."""
+    found = []
+    for first in range(FOLDS):
+        out = range(first, len(scenes), FOLDS)
+        kept = [i for i in range(len(scenes)) if i not in out]
+        if len(scenes) >= LEAST_RUNS:
+            less = known_of([scenes[i] for i in kept], learn.learned_by(scenes, best, kept), known.law)
+            found.append(Explainer([scenes[i] for i in out], less).first_stage().tried[0].gain)
+        on_fold()
+    return np.array(found)
