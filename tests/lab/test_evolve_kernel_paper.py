@@ -122,6 +122,22 @@ def there_and_back(plants: Any, row: int, moved: Any, stayed: Any) -> None:
     moved[:], stayed[:] = stems[row], stems[0]
 
 
+def test_a_product_of_a_tile_is_that_of_a_plain_loop_to_the_bit() -> None:
+    rng = np.random.default_rng(6)
+    rows, columns, first, tile_row = 8, 5, 4, 2
+    weights, b = (rng.standard_normal(size).astype(np.float32) for size in ((16, columns), 16))
+    tile, out = lstm_tiles.tiles(1, tile_row + columns)[0], lstm_tiles.tiles(1, rows + 1)[0]
+    tile[:], out[:] = rng.standard_normal(len(tile)), np.nan
+    lstm_tiles.product(weights.ravel(), b, first, rows, columns, tile, tile_row, out)
+    found = out.reshape(-1, LANES)
+    expected = np.repeat(b[first : first + rows, None], LANES, axis=1)
+    for k in range(columns):  # each product rounded before it is added, in the order of the columns
+        expected = expected + weights[first : first + rows, [k]] * tile.reshape(-1, LANES)[tile_row + k]
+    assert expected.dtype == np.float32
+    assert found[:rows].tobytes() == expected.tobytes()
+    assert np.isnan(found[rows]).all()
+
+
 def test_a_hyperbolic_tangent_in_parts_keeps_its_accuracy() -> None:
     gates = lstm_tiles.tiles(1, 3)[0]
     values = np.linspace(-12.0, 12.0, LANES, dtype=np.float32)

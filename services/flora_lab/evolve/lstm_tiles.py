@@ -18,15 +18,14 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_lab.simulator.fast_product import ROWS, product_of_tile
 from flora_lab.simulator.fast_tanh import tanh_parts
 from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
 LANES: Final = 32
-"""Plants per tile."""
-ROWS_AT_ONCE: Final = 4
-COLUMNS_AT_ONCE: Final = 5
+"""Plants per tile: as many as a product has columns."""
 _LINE_BYTES: Final = 64
 _HALF: Final = np.float32(0.5)
 
@@ -40,62 +39,24 @@ def tiles(count: int, rows: int) -> Array:
 
 
 @jit
-def fill(rows: int, values: Array, out: Array) -> None:
-    """Write ``values[row]`` into all lanes of each of the first rows."""
-    lanes = out.reshape(-1, LANES)
-    for r in range(rows):
-        lanes[r] = values[r]
-
-
-@jit
-def fill_lit(first: int, rows: int, values: Array, by_light: Array, light: Array, out: Array) -> None:
-    """Write ``values[row] + by_light[row] * light[lane]``, row by row from ``first`` on, into the first rows."""
-    lanes = out.reshape(-1, LANES)
-    for r in range(rows):
-        row, value, factor = lanes[r], values[first + r], by_light[first + r]
-        # Of a constant number of lanes so short a loop would be unrolled, before it is made one of SIMD.
-        for lane in range(len(light)):
-            row[lane] = value + factor * light[lane]
-
-
-@jit
-def add_product(weights: Array, first: int, rows: int, columns: int, tile: Array, out: Array) -> None:
-    """Add a matrix times a tile to another tile.
-
-    Four rows and five columns at a time, so that what is loaded is used several times.
+def product(
+    weights: Array, b: Array, first: int, rows: int, columns: int, tile: Array, tile_row: int, out: Array
+) -> None:
+    """Rows of a matrix times a tile, and a number for each row.
 
     Args:
         weights: row by row, flat.
+        b: the numbers.
         first: row of the matrix to begin with.
         rows: how many; a multiple of 4.
-        columns: of the matrix, which are the rows of ``tile``; a multiple of 5.
+        columns: of the matrix, which are so many rows of ``tile``.
         tile: flat.
-        out: flat, of ``rows`` rows, changed.
+        tile_row: the first of them.
+        out: flat, of ``rows`` rows, written.
     """
-    to, by = out.reshape(-1, ROWS_AT_ONCE * LANES), tile.reshape(-1, COLUMNS_AT_ONCE * LANES)
-    for r in range(rows // ROWS_AT_ONCE):
-        y = to[r]
-        for i in range(columns // COLUMNS_AT_ONCE):
-            x = by[i]
-            j = (first + r * ROWS_AT_ONCE) * columns + i * COLUMNS_AT_ONCE
-            k, m, n = j + columns, j + 2 * columns, j + 3 * columns
-            a0, a1, a2, a3, a4 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3], weights[j + 4]
-            b0, b1, b2, b3, b4 = weights[k], weights[k + 1], weights[k + 2], weights[k + 3], weights[k + 4]
-            c0, c1, c2, c3, c4 = weights[m], weights[m + 1], weights[m + 2], weights[m + 3], weights[m + 4]
-            d0, d1, d2, d3, d4 = weights[n], weights[n + 1], weights[n + 2], weights[n + 3], weights[n + 4]
-            for lane in range(LANES):
-                a, b, c, d = y[lane], y[LANES + lane], y[2 * LANES + lane], y[3 * LANES + lane]
-                v = x[lane]
-                a, b, c, d = a + a0 * v, b + b0 * v, c + c0 * v, d + d0 * v
-                v = x[LANES + lane]
-                a, b, c, d = a + a1 * v, b + b1 * v, c + c1 * v, d + d1 * v
-                v = x[2 * LANES + lane]
-                a, b, c, d = a + a2 * v, b + b2 * v, c + c2 * v, d + d2 * v
-                v = x[3 * LANES + lane]
-                a, b, c, d = a + a3 * v, b + b3 * v, c + c3 * v, d + d3 * v
-                v = x[4 * LANES + lane]
-                a, b, c, d = a + a4 * v, b + b4 * v, c + c4 * v, d + d4 * v
-                y[lane], y[LANES + lane], y[2 * LANES + lane], y[3 * LANES + lane] = a, b, c, d
+    for r in range(0, rows, ROWS):
+        row = first + r
+        product_of_tile(weights, row * columns, columns, columns, b, row, tile, tile_row * LANES, out, r * LANES)
 
 
 @jit

@@ -18,16 +18,14 @@ import numpy.typing as npt
 
 from flora_lab.evolve.lstm_tiles import (
     LANES,
-    ROWS_AT_ONCE,
-    add_product,
-    fill,
-    fill_lit,
     hidden_and_cell,
     hidden_from_zero,
+    product,
     tiles,
 )
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.task import Task
+from flora_lab.simulator.fast_product import ROWS
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.paper import CELLS, COORDINATES, PaperSimulator
@@ -36,7 +34,8 @@ from flora_lab.simulator.rod import jit
 Array = npt.NDArray[Any]
 
 INPUT_ROWS: Final = 20
-"""Of a tile: 18 coordinates, the light, and one to round up, whose weights are zero."""
+"""Of a tile: 18 coordinates, the light, and one to round up, whose weights are zero; no product leaves anything in the
+last two."""
 _I, _F, _G, _O = range(4)
 _CELLS_AT_ONCE: Final = 10
 
@@ -56,6 +55,13 @@ def _copy_lane(tiles_of: Array, rows: int, source: int, target: int) -> None:
     old, lane_old, new, lane_new = source // LANES, source % LANES, target // LANES, target % LANES
     for j in range(rows):
         tiles_of[new, j * LANES + lane_new] = tiles_of[old, j * LANES + lane_old]
+
+
+@jit
+def _shine(tile_of: Array, row: int, is_right: Array, tile: int, rows: int) -> None:
+    """Write the right lamp's light into a row of a tile, for those of its plants that are in use."""
+    for lane in range(min(LANES, rows - tile * LANES)):
+        tile_of[row * LANES + lane] = np.float32(1.0 if is_right[tile * LANES + lane] else 0.0)
 
 
 @jit_methods
@@ -89,14 +95,10 @@ class StatelessPlants(NamedTuple):
         for tile in range((rows + LANES - 1) // LANES):
             stem = self.stem[tile]
             for _ in range(self.parts):
-                # The product below leaves the row of the light as it was, and the last one.
-                for lane in range(min(LANES, rows - tile * LANES)):
-                    stem[COORDINATES * LANES + lane] = np.float32(1.0 if is_right[tile * LANES + lane] else 0.0)
-                fill(len(self.b_gates), self.b_gates, self.gates)
-                add_product(self.w_gates, 0, len(self.b_gates), INPUT_ROWS, stem, self.gates)
+                _shine(stem, COORDINATES, is_right, tile, rows)
+                product(self.w_gates, self.b_gates, 0, len(self.b_gates), INPUT_ROWS, stem, 0, self.gates)
                 hidden_from_zero(CELLS, self.gates, self.hidden)
-                fill(COORDINATES, self.b_out, stem)
-                add_product(self.w_out, 0, INPUT_ROWS, CELLS, self.hidden, stem)
+                product(self.w_out, self.b_out, 0, INPUT_ROWS, CELLS, self.hidden, 0, stem)
 
     def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
         for i in range(count):
@@ -109,12 +111,12 @@ class StatefulPlants(NamedTuple):
 
     Attributes:
         stem: tiles of coordinates, units, float32, rounded up to :data:`INPUT_ROWS` rows.
-        hidden, cell: tiles of the LSTM's state.
-        w_gates: gates i, f, g and o of each cell, from the hidden state, output layer and all; flat.
+        hidden: tiles of the right lamp's light, and of the hidden state.
+        cell: tiles of the cells' state.
+        w_gates: gates i, f, g and o of each cell, from the light and the hidden state, output layer and all; flat.
         b_first, b_later: of the gates, in the step from the given stem and in those after it.
-        w_light: what the right lamp adds to them.
         w_out, b_out, unit_cm, parts: see :class:`StatelessPlants`.
-        light, gates, after: room for one tile's lamps, for some cells' gates and for one tile's hidden state.
+        gates, after: room for some cells' gates and for one tile's hidden state.
     """
 
     stem: Array
@@ -123,12 +125,10 @@ class StatefulPlants(NamedTuple):
     w_gates: Array
     b_first: Array
     b_later: Array
-    w_light: Array
     w_out: Array
     b_out: Array
     unit_cm: float
     parts: int
-    light: Array
     gates: Array
     after: Array
 
@@ -140,23 +140,20 @@ class StatefulPlants(NamedTuple):
         chunk = 4 * _CELLS_AT_ONCE
         for tile in range((rows + LANES - 1) // LANES):
             stem, hidden, cell = self.stem[tile], self.hidden[tile], self.cell[tile]
-            for lane in range(min(LANES, rows - tile * LANES)):
-                self.light[lane] = np.float32(1.0 if is_right[tile * LANES + lane] else 0.0)
+            _shine(hidden, 0, is_right, tile, rows)
             for part in range(self.parts):
                 bias = self.b_first if step == 0 and part == 0 else self.b_later
                 for first in range(0, CELLS, _CELLS_AT_ONCE):
-                    fill_lit(4 * first, chunk, bias, self.w_light, self.light, self.gates)
-                    add_product(self.w_gates, 4 * first, chunk, CELLS, hidden, self.gates)
+                    product(self.w_gates, bias, 4 * first, chunk, 1 + CELLS, hidden, 0, self.gates)
                     hidden_and_cell(_CELLS_AT_ONCE, self.gates, cell, self.after, first)
-                for j in range(len(hidden)):  # many times faster than an assignment of the whole
-                    hidden[j] = self.after[j]
-                fill(COORDINATES, self.b_out, stem)
-                add_product(self.w_out, 0, INPUT_ROWS, CELLS, hidden, stem)
+                for j in range(len(self.after)):  # many times faster than an assignment of the whole
+                    hidden[LANES + j] = self.after[j]
+                product(self.w_out, self.b_out, 0, INPUT_ROWS, CELLS, hidden, 1, stem)
 
     def copy_rows(self, sources: Array, targets: Array, count: int) -> None:
         for i in range(count):
             _copy_lane(self.stem, COORDINATES, sources[i], targets[i])
-            _copy_lane(self.hidden, CELLS, sources[i], targets[i])
+            _copy_lane(self.hidden, 1 + CELLS, sources[i], targets[i])
             _copy_lane(self.cell, CELLS, sources[i], targets[i])
 
 
@@ -179,6 +176,8 @@ def plants_of(
     cell, dense = simulator.network.cell, simulator.network.dense
     w_out = np.zeros((INPUT_ROWS, CELLS), dtype=np.float32)
     w_out[:COORDINATES] = dense.w
+    b_out = np.zeros(INPUT_ROWS, dtype=np.float32)
+    b_out[:COORDINATES] = dense.b
     w_ih, w_hh, b = (_halved(part) for part in (cell.w_ih, cell.w_hh, cell.b[:, None]))
     if not simulator.stateful:
         w_gates = np.zeros((3 * CELLS, INPUT_ROWS))
@@ -189,7 +188,7 @@ def plants_of(
             _flat(w_gates),
             b_gates,
             w_out.ravel(),
-            dense.b,
+            b_out,
             simulator.unit_cm,
             parts,
             tiles(1, len(b_gates))[0],
@@ -198,21 +197,19 @@ def plants_of(
     w_stem = w_ih[:, :COORDINATES]
     folded = w_hh + w_stem @ dense.w.astype(np.float64)
     every_gate = (_I, _F, _G, _O)
-    hidden, memory = tiles(count, CELLS), tiles(count, CELLS)
+    hidden, memory = tiles(count, 1 + CELLS), tiles(count, CELLS)
     hidden[0] = memory[0] = 0.0
     return StatefulPlants(
         stem,
         hidden,
         memory,
-        _flat(_by_cell(folded, every_gate)),
+        _flat(_by_cell(np.concatenate([w_ih[:, COORDINATES:], folded], axis=1), every_gate)),
         _flat(_by_cell(b + w_stem @ start[:, None].astype(np.float64), every_gate)),
         _flat(_by_cell(b + w_stem @ dense.b[:, None].astype(np.float64), every_gate)),
-        _flat(_by_cell(w_ih[:, COORDINATES:], every_gate)),
         w_out.ravel(),
-        dense.b,
+        b_out,
         simulator.unit_cm,
         parts,
-        np.zeros(LANES, dtype=np.float32),
         tiles(1, 4 * _CELLS_AT_ONCE)[0],
         tiles(1, CELLS)[0],
     )
@@ -231,6 +228,6 @@ def _by_cell(rows: Array, gates: tuple[int, ...]) -> Array:
 
 def _flat(rows: Array) -> Array:
     """As float32, with zero rows up to a multiple of what is done at once."""
-    missing = -len(rows) % ROWS_AT_ONCE
+    missing = -len(rows) % ROWS
     filled = np.concatenate([rows, np.zeros((missing, rows.shape[1]))])
     return np.asarray(filled.astype(np.float32).ravel())

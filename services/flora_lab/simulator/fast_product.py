@@ -22,70 +22,75 @@ _BYTES: Final = 4
 _VECTOR: Final = ir.VectorType(ir.FloatType(), VECTOR)
 _INDEX: Final = ir.IntType(32)
 _UNDEFINED: Final = ir.Constant(_VECTOR, ir.Undefined)
-_X, _Y, _W, _B, _OUT = 0, 4, 8, 10, 13
-"""Places of the arrays among the arguments."""
+_FIRST: Final = ir.Constant(ir.VectorType(_INDEX, VECTOR), [0] * VECTOR)
 
 
-class _Code:
-    """Writes the loops of one call.
+class _Sums:
+    """Writes the code of sums of four rows that stay in registers, of one call.
 
     Args:
-        vectors: of each row whose sums stay in registers at a time.
+        vectors: of each row at a time.
         context, builder, signature, arguments: numba's.
     """
 
     def __init__(self, vectors: int, context: Any, builder: Any, signature: Any, arguments: Any) -> None:
         self._builder, self._number = builder, context.get_value_type(types.intp)
         self._data = {
-            k: context.make_array(signature.args[k])(context, builder, arguments[k]).data
-            for k in (_X, _Y, _W, _B, _OUT)
+            k: context.make_array(kind)(context, builder, argument).data
+            for k, (kind, argument) in enumerate(zip(signature.args, arguments, strict=True))
+            if isinstance(kind, types.Array)
         }
-        self._offsets = [self._constant(VECTOR * v) for v in range(vectors)]
-        self._block = self._constant(VECTOR * vectors)
+        self._offsets = [self.constant(VECTOR * v) for v in range(vectors)]
+        self.block = self.constant(VECTOR * vectors)
         room: Any = cgutils.alloca_once
         self._sums = [[room(builder, _VECTOR) for _ in range(vectors)] for _ in range(ROWS)]
-        self._arguments = arguments
 
-    def write(self) -> None:
-        """All blocks of columns of the matrix."""
-        builder = self._builder
-        _, x_at, x_stride, told, _, y_at, y_stride, more, _, w_at, _, b_at, width, _, out_at, out_stride = (
-            self._arguments
-        )
-        y_weights_at = builder.add(w_at, builder.mul(told, width))
-        with cgutils.for_range(builder, builder.sdiv(width, self._block)) as blocks:
-            first = builder.mul(blocks.index, self._block)
-            for v, offset in enumerate(self._offsets):
-                start = self._fetch(_B, builder.add(b_at, builder.add(first, offset)))
-                for sums in self._sums:
-                    builder.store(start, sums[v])
-            self._add(_X, x_at, x_stride, told, builder.add(w_at, first), width)
-            self._add(_Y, y_at, y_stride, more, builder.add(y_weights_at, first), width)
-            for r, sums in enumerate(self._sums):
-                row_at = builder.add(out_at, builder.add(builder.mul(self._constant(r), out_stride), first))
-                for v, offset in enumerate(self._offsets):
-                    to = self._place(_OUT, builder.add(row_at, offset), _VECTOR)
-                    builder.store(builder.load(sums[v]), to, align=_BYTES)
+    def begin(self, array: int, at: Any) -> None:
+        """With the same numbers of an array in every row."""
+        for v, offset in enumerate(self._offsets):
+            start = self._fetch(array, self._builder.add(at, offset))
+            for sums in self._sums:
+                self._builder.store(start, sums[v])
 
-    def _add(self, array: int, at: Any, stride: Any, columns: Any, weights_at: Any, width: Any) -> None:
-        """Add what so many numbers of each row make of the matrix, one after the other."""
+    def begin_alike(self, array: int, at: Any) -> None:
+        """Each row with a number of an array, all along it."""
+        for r, sums in enumerate(self._sums):
+            start = self._repeated(array, self._builder.add(at, self.constant(r)))
+            for total in sums:
+                self._builder.store(start, total)
+
+    def add(self, array: int, at: Any, stride: Any, columns: Any, matrix: int, matrix_at: Any, width: Any) -> None:
+        """What so many numbers of each row make of a matrix of this width, one after the other."""
         builder = self._builder
         with cgutils.for_range(builder, columns) as column:
-            w_at = builder.add(weights_at, builder.mul(column.index, width))
-            weights = [self._fetch(_W, builder.add(w_at, offset)) for offset in self._offsets]
+            w_at = builder.add(matrix_at, builder.mul(column.index, width))
+            weights = [self._fetch(matrix, builder.add(w_at, offset)) for offset in self._offsets]
             for r, sums in enumerate(self._sums):
-                number_at = builder.add(at, builder.add(builder.mul(self._constant(r), stride), column.index))
-                number = builder.load(builder.gep(self._data[array], [number_at]))
-                one = builder.insert_element(_UNDEFINED, number, _INDEX(0))
-                x = builder.shuffle_vector(one, _UNDEFINED, ir.Constant(ir.VectorType(_INDEX, VECTOR), [0] * VECTOR))
+                x = self._repeated(array, builder.add(self._row(at, r, stride), column.index))
                 for weight, total in zip(weights, sums, strict=True):
                     builder.store(builder.fadd(builder.load(total), builder.fmul(x, weight)), total)
 
-    def _constant(self, number: int) -> Any:
+    def keep(self, array: int, at: Any, stride: Any) -> None:
+        """Write them into an array."""
+        for r, sums in enumerate(self._sums):
+            row_at = self._row(at, r, stride)
+            for offset, total in zip(self._offsets, sums, strict=True):
+                to = self._place(array, self._builder.add(row_at, offset), _VECTOR)
+                self._builder.store(self._builder.load(total), to, align=_BYTES)
+
+    def constant(self, number: int) -> Any:
         return ir.Constant(self._number, number)
+
+    def _row(self, at: Any, row: int, stride: Any) -> Any:
+        return self._builder.add(at, self._builder.mul(self.constant(row), stride))
 
     def _place(self, array: int, at: Any, kind: Any) -> Any:
         return self._builder.bitcast(self._builder.gep(self._data[array], [at]), kind.as_pointer())
+
+    def _repeated(self, array: int, at: Any) -> Any:
+        number = self._builder.load(self._builder.gep(self._data[array], [at]))
+        one = self._builder.insert_element(_UNDEFINED, number, _INDEX(0))
+        return self._builder.shuffle_vector(one, _UNDEFINED, _FIRST)
 
     def _fetch(self, array: int, at: Any) -> Any:
         return self._builder.load(self._place(array, at, _VECTOR), align=_BYTES)
@@ -93,6 +98,7 @@ class _Code:
 
 def _product(vectors: int) -> Any:
     n = types.intp
+    x_is, y_is, w_is, b_is, out_is = 0, 4, 8, 10, 13
 
     def typed(
         _typing: Any,
@@ -114,10 +120,48 @@ def _product(vectors: int) -> Any:
         out_stride: Any,
     ) -> tuple[Any, Any]:
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            _Code(vectors, context, builder, signature, arguments).write()
+            _, x_at, x_stride, told, _, y_at, y_stride, more, _, w_at, _, b_at, width, _, out_at, out_stride = arguments
+            sums = _Sums(vectors, context, builder, signature, arguments)
+            y_weights_at = builder.add(w_at, builder.mul(told, width))
+            with cgutils.for_range(builder, builder.sdiv(width, sums.block)) as blocks:
+                first = builder.mul(blocks.index, sums.block)
+                sums.begin(b_is, builder.add(b_at, first))
+                sums.add(x_is, x_at, x_stride, told, w_is, builder.add(w_at, first), width)
+                sums.add(y_is, y_at, y_stride, more, w_is, builder.add(y_weights_at, first), width)
+                sums.keep(out_is, builder.add(out_at, first), out_stride)
             return context.get_dummy_value()
 
         return types.void(x, n, n, n, y, n, n, n, weights, n, b, n, n, out, n, n), code
+
+    return intrinsic(typed)
+
+
+def _of_tile(vectors: int) -> Any:
+    n = types.intp
+    x_is, b_is, matrix_is, out_is = 0, 4, 6, 8
+
+    def typed(
+        _typing: Any,
+        x: Any,
+        x_at: Any,
+        x_stride: Any,
+        columns: Any,
+        b: Any,
+        b_at: Any,
+        matrix: Any,
+        matrix_at: Any,
+        out: Any,
+        out_at: Any,
+    ) -> tuple[Any, Any]:
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            _, x_at, x_stride, columns, _, b_at, _, matrix_at, _, out_at = arguments
+            sums = _Sums(vectors, context, builder, signature, arguments)
+            sums.begin_alike(b_is, b_at)
+            sums.add(x_is, x_at, x_stride, columns, matrix_is, matrix_at, sums.block)
+            sums.keep(out_is, out_at, sums.block)
+            return context.get_dummy_value()
+
+        return types.void(x, n, n, n, b, n, matrix, n, out, n), code
 
     return intrinsic(typed)
 
@@ -134,3 +178,11 @@ matrix has ``x_columns + y_columns`` rows. Nothing is checked.
 """
 product_by_16: Any = _product(1)
 """The same for a matrix of 16 columns, or a multiple of them."""
+product_of_tile: Any = _of_tile(2)
+"""For compiled functions: four rows of ``out``, 32 numbers each, become one number of ``b`` each plus those of ``x``
+times a matrix of 32 columns, which is a tile of 32 plants.
+
+    product_of_tile(x, x_at, x_stride, columns, b, b_at, matrix, matrix_at, out, out_at)
+
+Rows of ``matrix`` and ``out`` stand one behind the other; for the rest see :data:`product_by_32`.
+"""
