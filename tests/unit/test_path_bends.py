@@ -12,6 +12,8 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import best_chain
+from flora_common.vision.path.curve import Sampler
+from flora_common.vision.path.trace import traced
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.reading import OCCLUDED, OK, StemReading
 
@@ -61,6 +63,20 @@ def test_a_tight_hook_is_followed_to_its_end(radius_cm: float, turn_rad: float) 
     reading = tracker().read(drawn(board(1), line), 0.0)
     assert reading.outcome == OK
     assert tip_error_mm(reading, line) < 2.5
+
+
+@pytest.mark.parametrize(("radius_cm", "turn_rad"), [(0.5, 2.6), (0.8, 2.6), (0.8, 3.0)])
+def test_a_hook_in_front_of_a_greener_leaf_is_followed_by_its_colour(radius_cm: float, turn_rad: float) -> None:
+    line = hooked(7.0, radius_cm, turn_rad)
+    picture = board(1)
+    middle = np.array(ANCHOR) + (line[-1] + [0.1, 0.3]) * np.array([SCALE, -SCALE])
+    cv2.ellipse(picture, tuple(np.rint(middle).astype(int).tolist()), (11, 19), 12.0, 0.0, 360.0, LEAF, -1, cv2.LINE_AA)
+    sampler = Sampler(tracker().look(drawn(picture, line)).evidence)
+    px = np.array(ANCHOR) + line * np.array([SCALE, -SCALE])
+    band, _ = traced(px[:45], 5.0, sampler, SCALE)
+    off = np.hypot(*(band[:, None] - px[None]).transpose(2, 0, 1)).min(axis=1)
+    assert off.max() < 2.0  # px: it stays on the stem
+    assert math.dist(band[-1], px[-1]) < 0.2 * SCALE
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.3])

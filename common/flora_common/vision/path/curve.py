@@ -71,6 +71,11 @@ class Stem:
     bends_from: float = math.inf
 
 
+LEAF_GREENER: Final = (7.0, 15.0)
+"""Code units, green against red, by which leaves are greener than the stem that bears them: from no leaf to surely one.
+Colours differ from plant to plant and under other lamps; this does not depend on how much light falls on either."""
+
+
 class Sampler:
     """Values of the evidence at places of the full picture, linear between pixels, 0 outside.
 
@@ -104,6 +109,14 @@ class Sampler:
     def green(self, places: FloatArray) -> FloatArray:
         """How much greener than red it is at places (..., 2)."""
         return self._at(self._green, places[..., 0], places[..., 1])
+
+    def stem(self, places: FloatArray, green: float) -> FloatArray:
+        """Evidence of plant at places (..., 2), but not of what is greener than a stem that is so green: a leaf."""
+        return self.plant(places) * self.no_leaf(places, green)
+
+    def no_leaf(self, places: FloatArray, green: float) -> FloatArray:
+        """1 where it is as green as a stem at places (..., 2), 0 where it is as much greener as leaves are."""
+        return np.clip((green + LEAF_GREENER[1] - self.green(places)) / (LEAF_GREENER[1] - LEAF_GREENER[0]), 0.0, 1.0)
 
     def _at(self, values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray) -> FloatArray:
         if x.size == 0:

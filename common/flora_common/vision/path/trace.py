@@ -1,7 +1,8 @@
 """The stem followed as a band round any bend, from a sure place on.
 
 Lines that were thinned, and splines that are held smooth, cut a hook or end at its top. A band with two clean edges can
-be followed round it: a step on along the circle that the last steps lie on, then to the middle between the edges.
+be followed round it: a step on along the circle that the last steps lie on, then to the middle between the edges. Where
+it passes in front of a leaf, its edges are where the greener begins.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.curve import HALF, BoolArray, Sampler, arc_length
+from flora_common.vision.path.curve import HALF, LEAF_GREENER, BoolArray, Sampler, arc_length
 
 STEP_WIDTHS: Final = 0.35
 FITTED_WIDTHS, LEAST_FITTED_PX = 2.5, 8.0
@@ -37,8 +38,8 @@ AHEAD_WIDTHS: Final = np.array([0.6, 1.2])
 ACROSS_WIDTHS: Final = np.array([-0.9, -0.25, 0.0, 0.25, 0.9])
 OTHER_BEND_COST: Final = 0.25
 """In shares of full evidence: for the tightest bend, where the line behind is straight."""
-LEAF_GREENER: Final = 10.0
-"""Code units by which what comes is greener than what was, if it is a leaf."""
+_LEAF_FROM: Final = sum(LEAF_GREENER) / 2.0
+"""Code units by which what comes is greener than what was, if it is more a leaf than not."""
 GREEN_FOLLOWS: Final = 0.1
 PULL: Final = 0.7
 """Share of the way to the middle that a step takes."""
@@ -73,18 +74,21 @@ def traced(line: FloatArray, width: float, sampler: Sampler, px_per_cm: float) -
         _, slope, half_bend = fit @ np.array(places[-len(along) :])
         bend = 2.0 * float(slope[0] * half_bend[1] - slope[1] * half_bend[0]) / max(1e-9, float(slope @ slope) ** 1.5)
         heading = math.atan2(slope[1], slope[0])
-        bend = _bend_on(places[-1], heading, bend, width, level, sampler)
+        bend = _bend_on(places[-1], heading, bend, width, level, green, sampler)
         heading += 0.5 * bend * step
         place = places[-1] + step * np.array([math.cos(heading), math.sin(heading)])
         heading += 0.5 * bend * step
         normal = np.array([-math.sin(heading), math.cos(heading)])
-        left, right = _edges(sampler.plant((place + offset[:, None] * normal)[None])[0], offset, level)
+        left, right = _edges(sampler.stem((place + offset[:, None] * normal)[None], green)[0], offset, level)
+        if left > right:
+            # all of it greener: followed as far as is bridged
+            left, right = _edges(sampler.plant((place + offset[:, None] * normal)[None])[0], offset, level)
         if left > right:
             break
         middle, found = 0.5 * (left + right), right - left
         here = float(sampler.green((place + across[:, None] * normal)[None]).mean())
         fits = THINNEST * width - WIDTH_FREE_PX < found < WIDEST * width + WIDTH_FREE_PX
-        if fits and abs(middle) < MOST_OFF * width and here < green + LEAF_GREENER:
+        if fits and abs(middle) < MOST_OFF * width and here < green + _LEAF_FROM:
             place = place + PULL * middle * normal
             unclean = 0.0
             green += GREEN_FOLLOWS * (here - green)
@@ -104,7 +108,9 @@ def traced(line: FloatArray, width: float, sampler: Sampler, px_per_cm: float) -
     return np.array(places[some]).reshape(-1, 2), np.array(clean[some], dtype=np.bool_)
 
 
-def _bend_on(place: FloatArray, heading: float, bend: float, width: float, level: float, sampler: Sampler) -> float:
+def _bend_on(
+    place: FloatArray, heading: float, bend: float, width: float, level: float, green: float, sampler: Sampler
+) -> float:
     """The bend, 1/px, on which a band of this width goes on best; that of the line behind where it does as well."""
     most = 1.0 / (TIGHTEST_WIDTHS * width)
     bends = np.append(np.clip(bend, -most, most), most * BENDS_TRIED)
@@ -116,8 +122,8 @@ def _bend_on(place: FloatArray, heading: float, bend: float, width: float, level
     turned = heading + bends[:, None] * ahead
     normal = np.stack([-np.sin(turned), np.cos(turned)], axis=-1)
     across = width * ACROSS_WIDTHS
-    plant = sampler.plant(
-        (middle[:, :, None, :] + across[None, None, :, None] * normal[:, :, None, :]).reshape(len(bends), -1, 2)
+    plant = sampler.stem(
+        (middle[:, :, None, :] + across[None, None, :, None] * normal[:, :, None, :]).reshape(len(bends), -1, 2), green
     )
     share = np.minimum(1.0, plant.reshape(len(bends), len(AHEAD_WIDTHS), -1) / max(level, 1e-9))
     inside, outside = share[..., 1:-1].mean(axis=-1), 0.5 * (share[..., 0] + share[..., -1])
