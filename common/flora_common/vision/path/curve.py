@@ -71,7 +71,7 @@ class Stem:
     bends_from: float = math.inf
 
 
-LEAF_GREENER: Final = (7.0, 15.0)
+LEAF_GREENER: Final = (6.0, 14.0)
 """Code units, green against red, by which leaves are greener than the stem that bears them: from no leaf to surely one.
 Colours differ from plant to plant and under other lamps; this does not depend on how much light falls on either."""
 
