@@ -418,3 +418,14 @@ def test_commands_write_what_they_promise_and_bad_input_ends_with_2(
     assert not (tmp_path / "b.csv").exists()
     errors = capsys.readouterr().err.splitlines()
     assert all(line.startswith("flora-twin: ") for line in errors)
+
+
+def test_a_controller_file_that_is_not_there_removes_no_demo(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "rig" / "runs" / "bean" / "track.csv"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("measured")
+    assert main(["demo", "--out", str(tmp_path), "--controller", "typo.controller.json", "--hours", "1"]) == 2
+    assert "--controller typo.controller.json: no such file" in capsys.readouterr().err
+    assert kept.read_text() == "measured"

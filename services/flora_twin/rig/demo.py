@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from flora_common.errors import BadInput
 from flora_common.paper_experiment import RUN_HOURS
 from flora_twin.rig.experiment import Experiment, check_photographs, parse_speed, run_experiment
 from flora_twin.rig.faults import parse_fault
@@ -61,5 +62,14 @@ def demo(
 
 
 def _named(controller: str) -> str:
-    """A file by its full path: services have a working folder of their own."""
-    return str(Path(controller).resolve()) if controller.endswith(".json") else controller
+    """A file by its full path: services have a working folder of their own.
+
+    Raises:
+        BadInput: it is not there. Nobody must learn that after the run before has been removed.
+    """
+    if not controller.endswith(".json"):
+        return controller
+    path = Path(controller).resolve()
+    if not path.is_file():
+        raise BadInput(f"--controller {controller}: no such file")
+    return str(path)
