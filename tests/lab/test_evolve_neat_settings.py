@@ -107,6 +107,14 @@ def test_what_is_wrong_is_told_in_one_line(text: str, message: str, tmp_path: Pa
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize(("key", "count"), [("num_inputs", 26), ("num_outputs", 1)])
+def test_networks_that_are_no_controllers_are_refused_before_they_evolve(key: str, count: int, tmp_path: Path) -> None:
+    path = tmp_path / "mine.cfg"
+    path.write_text(f"[DefaultGenome]\n{key} = 3\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=f"mine.cfg: {key} is 3; controllers have {count}, leave it out"):
+        settings_named(str(path))
+
+
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"gone.cfg: cannot be read \(No such file"):
         load_settings(tmp_path / "gone.cfg")

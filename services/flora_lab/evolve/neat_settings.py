@@ -17,6 +17,7 @@ from typing import Any, Final
 import neat
 from neat.math_util import stat_functions
 
+from flora_common.controller_file import INPUT_NAMES
 from flora_common.errors import BadInput
 from flora_common.network import ACTIVATIONS, AGGREGATIONS, MAX_NUMBER
 from flora_common.suggest import did_you_mean
@@ -155,12 +156,18 @@ def settings_named(name: str | None, *, population: int | None = None) -> NeatSe
     """Settings by a name of :data:`NAMED`, or from a file; one that is called like them is given as ``./NAME``.
 
     Raises:
-        BadInput: neither is there, or see :func:`load_settings`.
+        BadInput: neither is there, or its networks are no controllers', or see :func:`load_settings`.
     """
     path = None if name is None else NAMED.get(name, Path(name))
     if path is not None and not path.exists():
         raise BadInput(f"--neat {name}: neither flora's own nor a file{did_you_mean(path.name, NAMED)}")
-    return load_settings(path, population=population)
+    settings = load_settings(path, population=population)
+    genome = settings.sections["DefaultGenome"]
+    for key, count in (("num_inputs", len(INPUT_NAMES)), ("num_outputs", 1)):
+        if genome[key] != count:
+            # Networks of others evolve as well, and only in the end no controller can be made of them.
+            raise BadInput(f"{path}: {key} is {genome[key]}; controllers have {count}, leave it out")
+    return settings
 
 
 def _parsed(path: Path) -> dict[str, dict[str, str]]:
