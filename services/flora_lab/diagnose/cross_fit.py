@@ -44,9 +44,7 @@ def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda
     return replace(known, cross_fit=_held_out(scenes, best, known, told))
 
 
-def _held_out(
-    scenes: Sequence[Scene], best: learn.Learned, known: Knowledge, on_fold: Callable[[], None] = lambda: None
-) -> Array:
+def _held_out(scenes: Sequence[Scene], best: learn.Learned, known: Knowledge, on_fold: Callable[[], None]) -> Array:
     """See :attr:`Knowledge.cross_fit`. Folds take every third run, for references often come sorted by their light."""
     found = []
     for first in range(FOLDS):

@@ -61,9 +61,10 @@ class Explainer:
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
         self.known = known
-        doubt = _doubt_of(known) * max(1.0, len(scenes) / _RUNS)
+        more = max(1.0, len(scenes) / _RUNS)
+        doubt = more * _doubt_of(known)
         self.claim = CLAIM + doubt
-        self.nameless = NAMELESS * max(1.0, len(scenes) / _RUNS) + doubt
+        self.nameless = more * NAMELESS + doubt
         self._on_step = on_step
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []

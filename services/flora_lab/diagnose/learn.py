@@ -84,7 +84,10 @@ def learned_further(scenes: Sequence[Scene], so_far: Learned) -> Learned:
 def learned_by(scenes: Sequence[Scene], whole: Learned, kept: Sequence[int]) -> Learned:
     """What some of the runs tell, from where all of them have come to: each plant stays as it was fitted."""
     fits, parts = [whole.fits[i] for i in kept], [whole.parts[i] for i in kept]
-    return _together([scenes[i] for i in kept], replace(whole.base, runs=len(kept)), fits, parts)
+    base = replace(whole.base, runs=len(kept))
+    alone = base.of_single_runs()
+    runs = [ready(scenes[i], alone, one, together=0) for i, one in zip(kept, parts, strict=True)]
+    return _together(runs, base, fits, parts)
 
 
 def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Learned:
@@ -98,13 +101,13 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Le
         chance.covariances(scene, scene.answers(fit.traits[0], Change()))
         for scene, fit in zip(scenes, fits, strict=True)
     ]
-    return _together(scenes, so_far.base, fits, parts)
+    return _together(runs, so_far.base, fits, parts)
 
 
-def _together(scenes: Sequence[Scene], so_far: Base, fits: list[Found], parts: list[Array]) -> Learned:
+def _together(runs: Sequence[Ready], so_far: Base, fits: list[Found], parts: list[Array]) -> Learned:
     """What the plants of fits have in common, and what happens by chance about them."""
     alone = so_far.of_single_runs()
-    linear = [_linear(alone, *of_run) for of_run in zip(scenes, fits, parts, strict=True)]
+    linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
     base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far)
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
     return Learned(base, fits, parts, evidence)
@@ -137,9 +140,10 @@ def _are_near(fits: Sequence[Found]) -> list[bool]:
     return [bool((one / usual).max() <= _FAR_OFF) for one in away]
 
 
-def _linear(alone: Base, scene: Scene, fit: Found, parts: Array) -> Linear:
+def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
     """A run, from its own fit carried on to any plant: linear, because the typical one may stand elsewhere."""
-    told, slopes = Joint([ready(scene, alone, parts, together=0)], alone).features_of(fit, 0)
+    scene = run.scene
+    told, slopes = Joint([run], alone).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
     return Linear(scene.features - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]]), slopes, parts)
 
