@@ -40,7 +40,8 @@ LARGEST_KEY_FILE: Final = 10_000
 _HALF: Final = r'^[ \t]*{}[ \t]*=[ \t]*["\']([^"\'\n]*)["\'][ \t]*$'
 _PUBLIC: Final = re.compile(_HALF.format("public-key"), re.MULTILINE)
 _SECRET: Final = re.compile(_HALF.format("secret-key"), re.MULTILINE)
-_WITH_PORT: Final = re.compile(r":(\d+|\*)$")
+_PORT: Final = re.compile(r":(\d+|\*)$")
+_LARGEST_PORT: Final = 65_535
 _LOOPBACK: Final = re.compile(r"tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):(\d+|\*)")
 
 
@@ -83,12 +84,16 @@ def check_reach(key: str, endpoint: str, *, bus_keys: str, bus_open: bool) -> No
         bus_open: whoever configured it trusts everyone who reaches the port.
 
     Raises:
-        ConfigError: it has no port; other machines reach it, there are no keys, and nobody has said that this is meant.
+        ConfigError: it has no port, or one that there is not; other machines reach it, there are no keys, and nobody
+            has said that this is meant.
     """
     if bus_keys and bus_open:
         raise ConfigError("bus_keys and bus_open contradict each other: leave one of them out")
-    if is_tcp(endpoint) and not _WITH_PORT.search(endpoint):
+    port = _PORT.search(endpoint)
+    if is_tcp(endpoint) and port is None:
         raise ConfigError(f"{key} is {endpoint}, without a port: tcp://HOST:PORT")
+    if is_tcp(endpoint) and port is not None and port[1] != "*" and int(port[1]) > _LARGEST_PORT:
+        raise ConfigError(f"{key} is {endpoint}; ports go up to {_LARGEST_PORT}")
     if is_tcp(endpoint) and not is_loopback(endpoint) and not bus_keys and not bus_open:
         raise ConfigError(
             f"{key} is {endpoint}, which other machines reach, and bus_keys names no keys; make some "

@@ -6,14 +6,16 @@ everything and harm nothing.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
 
 from flora_common.bus import BusAddress
-from flora_common.bus_keys import check_reach, client_keys, is_tcp
+from flora_common.bus_keys import ClientKeys, check_reach, client_keys, is_tcp
 from flora_common.errors import BadInput, ConfigError
+from flora_common.messages.envelope import Name
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
@@ -88,17 +90,44 @@ class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             ConfigError: the keys cannot be used.
         """
+        return BusAddress(self.bus_publish, self.bus_subscribe, self.own_keys())
+
+    def own_keys(self) -> ClientKeys | None:
+        """What this machine shows to the bus; None where nobody asks.
+
+        Raises:
+            ConfigError: the files cannot be used.
+        """
         is_asked = self.bus_keys and (is_tcp(self.bus_publish) or is_tcp(self.bus_subscribe))
-        return BusAddress(self.bus_publish, self.bus_subscribe, client_keys(Path(self.bus_keys)) if is_asked else None)
+        return client_keys(Path(self.bus_keys)) if is_asked else None
 
     def check_bus(self) -> None:
         """Whether the bus may be where the section says; reads no file.
 
         Raises:
-            ConfigError: it would be open to other machines, and nobody has said that this is meant.
+            ConfigError: both ends are the same; no such port; it would be open to other machines, and nobody has said
+                that this is meant.
         """
+        if self.bus_publish == self.bus_subscribe:
+            raise ConfigError(f"bus_publish and bus_subscribe are both {self.bus_publish}; they must differ")
         for key, endpoint in (("bus_publish", self.bus_publish), ("bus_subscribe", self.bus_subscribe)):
             check_reach(key, endpoint, bus_keys=self.bus_keys, bus_open=self.bus_open)
+
+    def check_run_dir(self) -> None:
+        """Whether messages can name the run: by its folder's own name, where ``run_dir`` is a link to it.
+
+        Raises:
+            ConfigError: they cannot.
+        """
+        name = Path(os.path.realpath(self.run_dir)).name
+        try:
+            msgspec.convert(name, Name)
+        except msgspec.ValidationError as problem:
+            folder = f"{self.run_dir}" if Path(self.run_dir).name == name else f"{self.run_dir} leads to `{name}`"
+            raise ConfigError(
+                f"run_dir {folder}: a run folder's name is at most 64 letters, digits, `.`, `_` and `-`, "
+                "the first one a letter or digit"
+            ) from problem
 
     def named(self, name: str) -> RigSection:
         """Another rig on the same bus."""
@@ -174,6 +203,7 @@ def _rig(path: Path, tables: dict[str, Any]) -> RigSection:
     rig = convert(tables.get("rig", {}), RigSection, where=f"{path} [rig]", error=ConfigError)
     try:
         rig.check_bus()
+        rig.check_run_dir()
     except ConfigError as problem:
         raise ConfigError(f"{path} [rig]: {problem}") from problem
     return rig

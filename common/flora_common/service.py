@@ -51,6 +51,7 @@ def run_service(
     argv: Sequence[str] | None = None,
     description: str = "",
     actions: Sequence[Action[S]] = (),
+    check: Callable[[RigSection, S], None] = lambda rig, config: None,
     make_clock: Callable[[RigSection], clocks.Clock] | None = None,
 ) -> int:
     """The body of every service's ``main``; returns the exit status.
@@ -62,6 +63,8 @@ def run_service(
         argv: arguments without the program name; ``sys.argv`` where None.
         description: one sentence for ``--help``.
         actions: further flags that do one thing and end.
+        check: raises ConfigError, or other BadInput, where a configuration of the right types cannot be used all the
+            same. Asked at the start and by ``--check-config``: it writes nothing, and waits for nobody.
         make_clock: where the beat needs a leading clock; others follow the rig's.
     """
     section = name.removeprefix("flora-")
@@ -73,6 +76,8 @@ def run_service(
             return 0
         rig, config = load_config(options.config, section, section_type)
         if options.check_config:
+            rig.own_keys()
+            check(rig, config)
             print(f"{name}: configuration is good")
             return 0
         if options.print_config:
@@ -83,6 +88,7 @@ def run_service(
                 return action.work(rig, config)
         level = logging.DEBUG if options.verbose else logging.WARNING if options.quiet else logging.INFO
         log = Log(name, choose_sink(), level=level, common={"run": Path(rig.run_dir).name})
+        check(rig, config)
         with _only_one(name, rig):
             clock = make_clock(rig) if make_clock else default_clock(rig)
             app = App(name, rig, config, log=log, clock=clock)

@@ -13,7 +13,17 @@ from flora_bus.broker import Broker, BrokerCounters
 from flora_bus.guard import Guard
 from flora_common.app import App
 from flora_common.bus import BusAddress
-from flora_common.bus_keys import AUTHORIZED, BUS, CLIENT, check_reach, is_tcp, make_authorized, make_pair
+from flora_common.bus_keys import (
+    AUTHORIZED,
+    BUS,
+    CLIENT,
+    check_reach,
+    is_tcp,
+    make_authorized,
+    make_pair,
+    read_authorized,
+    read_pair,
+)
 from flora_common.config import RigSection
 from flora_common.errors import BusUnreachable, ConfigError
 from flora_common.files import make_folder
@@ -78,14 +88,25 @@ def guard_of(rig: RigSection, network: BusAddress | None) -> Guard | None:
     Raises:
         ConfigError: the keys cannot be used.
     """
+    return Guard(Path(rig.bus_keys)) if needs_keys(rig, network) else None
+
+
+def needs_keys(rig: RigSection, network: BusAddress | None) -> bool:
+    """Whether whoever comes is asked for a key."""
     over_tcp = network is not None or is_tcp(rig.bus_publish) or is_tcp(rig.bus_subscribe)
-    return Guard(Path(rig.bus_keys)) if rig.bus_keys and over_tcp else None
+    return bool(rig.bus_keys) and over_tcp
+
+
+def check(rig: RigSection, config: BusSection) -> None:
+    """Where other machines find the bus, and the keys that they are asked for."""
+    network = network_of(rig, config)
+    if needs_keys(rig, network):
+        read_pair(Path(rig.bus_keys), BUS)
+        read_authorized(Path(rig.bus_keys) / AUTHORIZED)
 
 
 def build(app: App[BusSection]) -> None:
     rig = app.rig
-    if rig.bus_publish == rig.bus_subscribe:
-        raise ConfigError(f"[rig] bus_publish and bus_subscribe are both {rig.bus_publish}; they must differ")
     network = network_of(rig, app.config)
     hold_socket(rig.bus_publish)
     hold_socket(rig.bus_subscribe)
@@ -166,6 +187,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         BusSection,
         build,
         argv=argv,
+        check=check,
         description="The message bus: XSUB/XPUB proxy with last values.",
         actions=[
             Action("--make-bus-keys", "make the keys of a bus over TCP in [rig] bus_keys, and end", make_bus_keys),

@@ -8,12 +8,17 @@ from flora_capture.service import CaptureSection, CaptureService
 from flora_capture.source import check_source
 from flora_capture.store import Store
 from flora_common.app import App
+from flora_common.config import RigSection
 from flora_common.service import run_service
+
+
+def check(_: RigSection, config: CaptureSection) -> None:
+    """Whether there is something to take pictures of; see :func:`check_source`."""
+    check_source(config.backend, config.source)
 
 
 def build(app: App[CaptureSection]) -> None:
     camera = app.run.read_run_file().camera
-    check_source(app.config.backend, app.config.source)
     CaptureService(app, Store(app.run), app.config.settings(camera, app.rig.clock.twin))
 
 
@@ -23,5 +28,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         CaptureSection,
         build,
         argv=argv,
+        check=check,
         description="One photograph per tick: taken, checked, stored, announced.",
     )

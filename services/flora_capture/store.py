@@ -22,7 +22,6 @@ from flora_common.messages.catalogue import Purpose
 from flora_common.runs import Light, RunFolder
 
 SHOT_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,58}\.jpg")
-RUN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 TAIL_BYTES: Final = 4096
 
 
@@ -83,14 +82,12 @@ class Store:
         taken: photographs of the run itself, without those of the empty setup.
 
     Raises:
-        BadRunFolder: the folder's name cannot be announced, or ``frames.csv`` is damaged.
+        BadRunFolder: ``frames.csv`` is damaged.
     """
 
     def __init__(self, run: RunFolder) -> None:
         self._run = run
         self.run_name = run.path.resolve().name
-        if not RUN_NAME.fullmatch(self.run_name):
-            raise BadRunFolder(f"{run.path}: a run folder's name is made of letters, digits, `.`, `_` and `-`")
         self.last: FrameRecord | None = None
         self.taken = 0
         self._csv_time_s = _last_time_s(run.frames_csv)

@@ -11,6 +11,7 @@ from typing import Final
 import msgspec
 
 from flora_common.app import App
+from flora_common.config import RigSection
 from flora_common.controller_file import SUFFIX
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import sha256_of_bytes
@@ -19,19 +20,34 @@ from flora_common.runs import RunFile, RunFolder
 from flora_common.service import run_service
 from flora_common.shapes import Obstacle, Target
 from flora_controller.acceptance import Acceptance
-from flora_controller.acceptance_setup import open_acceptance
+from flora_controller.acceptance_setup import look_only, open_acceptance, policy_of
 from flora_controller.check import check_file
 from flora_controller.core import ControllerCore, ControllerSection
 from flora_controller.offer_command import offer_file
 from flora_controller.record import RECORD_FILE, read_record, write_record
 from flora_controller.shelf import FOLDER as SHELF_FOLDER
 from flora_controller.shelf import Shelf
-from flora_controller.source import FileSource, FixedSource, built_in, kept_file
+from flora_controller.source import FileSource, FixedSource, built_in, check_name, check_usable, kept_file
 from flora_controller.succession import Succession
 
 LOOK_EVERY_S: Final = 5.0
 LEAST_TARGET_CM: Final = 1.0
 """Nearer to the anchor than this, the fitness of the paper divides by almost nothing."""
+
+
+def check(rig: RigSection, section: ControllerSection) -> None:
+    """What a start would refuse; of a run that is not made yet, what does not depend on it."""
+    run, is_file = RunFolder(Path(rig.run_dir)), section.use.endswith(SUFFIX)
+    if not is_file:
+        check_name(section.use)
+    if not run.run_toml.is_file():
+        return
+    policy = policy_of(section, *task_of(run.read_run_file(), run))
+    if is_file:
+        path, state_dir = Path(section.use), Path(rig.state_dir)
+        check_usable(path, kept_file(state_dir, path), look_only(policy, state_dir))
+    else:
+        built_in(section, policy.target, policy.obstacle)
 
 
 def build(app: App[ControllerSection]) -> None:
@@ -167,6 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ControllerSection,
         build,
         argv=arguments,
+        check=check,
         description="Decides left or right from each stem. `flora-controller check FILE` checks a controller file, "
         "`flora-controller offer FILE` hands one to the flora-controller that runs.",
     )

@@ -26,21 +26,26 @@ BUILT_IN: Final[tuple[str, ...]] = get_args(BuiltIn)
 _Stamp = tuple[int, int, int, int, int]
 
 
+def check_name(use: str) -> None:
+    """Whether a rule that is no file is built in; ConfigError where it is not."""
+    if use not in BUILT_IN:
+        raise ConfigError(
+            f"[controller] use: no built-in controller `{use[:60]}`{did_you_mean(use, BUILT_IN)} "
+            f"(a file's name ends in {SUFFIX})"
+        )
+
+
 def built_in(section: ControllerSection, target: Target | None, obstacle: Obstacle | None) -> Steering:
     """The rule of a built-in name.
 
     Raises:
         ConfigError: no such name, or the run lacks what the rule steers by.
     """
+    check_name(section.use)
     if section.use == "open-loop":
         return OpenLoop(section.open_loop)
     if section.use == "dark":
         return Dark()
-    if section.use not in BUILT_IN:
-        raise ConfigError(
-            f"[controller] use: no built-in controller `{section.use[:60]}`{did_you_mean(section.use, BUILT_IN)} "
-            f"(a file's name ends in {SUFFIX})"
-        )
     if target is None:
         raise ConfigError(f"controller `{section.use}` steers to a target; give run.toml a section [target]")
     if section.use == "tip-follower":
@@ -55,6 +60,28 @@ def built_in(section: ControllerSection, target: Target | None, obstacle: Obstac
 def kept_file(state_dir: Path, path: Path) -> Path:
     """Where the accepted bytes of the file at ``path`` are kept: each configured path has its own."""
     return state_dir / f"accepted-{sha256_of_bytes(os.fsencode(path))[:12]}{SUFFIX}"
+
+
+def check_usable(path: Path, kept: Path, acceptance: Acceptance) -> None:
+    """Whether a start finds a file to steer by, at the path or kept from before; changes nothing.
+
+    Raises:
+        BadController: it does not.
+    """
+    try:
+        acceptance.check(load_controller(path), offered=False)
+    except BadController as problem:
+        _kept_before(kept, acceptance, problem)
+
+
+def _kept_before(kept: Path, acceptance: Acceptance, problem: BadController | StoreError) -> LoadedController:
+    """The file that was accepted last; the problem is raised where there is none."""
+    try:
+        loaded = parse_controller(kept.read_bytes(), where=str(kept))
+        acceptance.check_kept(loaded, offered=False)
+    except (OSError, BadController):
+        raise problem from None
+    return loaded
 
 
 class FixedSource:
@@ -95,7 +122,7 @@ class FileSource:
             self.steering = self._accepted(load_controller(path))
             self._keep()
         except (BadController, StoreError) as problem:
-            self.steering = self._accepted_before(problem)
+            self.steering = self._evolved(_kept_before(kept, acceptance, problem))
             self.refusal = _refused(problem)
 
     def poll(self) -> bool:
@@ -132,14 +159,6 @@ class FileSource:
                 write_bytes(self._kept, self.steering.loaded.data)
         except (OSError, StoreError) as problem:
             self.refusal = f"in force, but a copy cannot be kept: {problem}"
-
-    def _accepted_before(self, problem: BadController | StoreError) -> Evolved:
-        try:
-            loaded = parse_controller(self._kept.read_bytes(), where=str(self._kept))
-            self._acceptance.check_kept(loaded, offered=False)
-        except (OSError, BadController):
-            raise problem from None
-        return self._evolved(loaded)
 
 
 def _stamp_of(path: Path) -> _Stamp | None:

@@ -54,6 +54,12 @@ def runs_dir(rig: RigSection, config: UploaderSection) -> Path:
     return Path(config.runs_dir) if config.runs_dir else Path(rig.run_dir).absolute().parent
 
 
+def check(rig: RigSection, config: UploaderSection) -> None:
+    """Whether the target can be one; see :func:`make_target`."""
+    if config.target:
+        make_target(rig, config)
+
+
 def make_target(rig: RigSection, config: UploaderSection) -> FolderTarget:
     """The target of a configuration.
 

@@ -11,7 +11,7 @@ from flora_common.errors import DiskFull
 from flora_common.messages import Frame, Stored
 from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, show_status, upload_once
-from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target
+from flora_uploader.config import SWITCHED_OFF, UploaderSection, check
 from flora_uploader.ledger import Ledger, LedgerProblem
 from flora_uploader.model import Event
 from flora_uploader.uploader import Uploader
@@ -25,7 +25,6 @@ def build(app: App[UploaderSection]) -> None:
     if not config.target:
         app.state("ready", SWITCHED_OFF)
         return
-    make_target(app.rig, config)  # what is wrong with the configuration ends the start
     uploader: Uploader | None = None
     timer: Timer | None = None
 
@@ -107,6 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         UploaderSection,
         build,
         argv=argv,
+        check=check,
         description="Bring every file of record to a folder, local or mounted, and prove that it is there.",
         actions=(
             Action("--once", "upload what is there, without a bus, print a summary and end", upload_once),

@@ -14,6 +14,7 @@ from flora_common.bus import Arrival, BusClient
 from flora_common.files import write_bytes
 from flora_common.messages import ControllerState, Health, LightCommand, Stem
 from flora_common.runs import CameraSection, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
+from flora_controller.main import main
 from signing_keys import ADA, EXPORT, signed
 
 if TYPE_CHECKING:
@@ -172,6 +173,31 @@ def test_bad_input_is_one_line_and_status_2(
     assert process.returncode == 2
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ({"use": "waypiont"}, "did you mean `waypoint`?"),
+        ({"trust": "required", "keys_dir": "/gone"}, "there is no key *.pub in keys_dir /gone"),
+        ({"use": str(GOLDEN / "bad" / "cycle.controller.json")}, "network is not feed-forward"),
+        ({"use": str(GOLDEN / "good" / "tip_only.controller.json")}, ""),
+        ({"use": "waypoint"}, ""),
+    ],
+)
+def test_the_check_of_a_configuration_says_what_a_start_would(
+    bus: PrivateBus, capsys: pytest.CaptureFixture[str], section: dict[str, object], said: str
+) -> None:
+    make_run(bus, RUN_FILE)
+    bus.sections["controller"] = section
+
+    assert main(["--config", str(bus.config), "--check-config"]) == (2 if said else 0)
+
+    out, error = capsys.readouterr()
+    assert (out == "") == bool(said)
+    assert said in error
+    assert error.count("\n") == bool(said)
+    assert not (bus.folder / "state").exists()
 
 
 def test_the_open_loop_runs_without_a_run_folder(bus: PrivateBus) -> None:

@@ -181,11 +181,16 @@ def test_is_ready_and_says_why_it_does_nothing_without_a_simulator(bus: Any) -> 
         ({"simulater": "x"}, "unknown key `simulater`; did you mean `simulator`?"),
         ({"simulator": "a", "reference": "b"}, "give either `simulator` or `reference`"),
         ({"false_alarms": 0.9}, "false_alarms"),
+        ({"jobs_dir": __file__}, f"[lab] jobs_dir {__file__}: {__file__} is a file; name a folder"),
+        ({"output": f"{__file__}/found"}, f"{__file__} is a file; name a folder"),
     ],
 )
-def test_a_wrong_configuration_is_one_line(bus: Any, section: dict[str, object], message: str) -> None:
+@pytest.mark.parametrize("flags", [[], ["--check-config"]])
+def test_a_wrong_configuration_is_one_line(
+    bus: Any, section: dict[str, object], message: str, flags: list[str]
+) -> None:
     bus.sections["lab"] = section
-    process = bus.start("flora-lab", "serve", "--config", str(bus.config))
+    process = bus.start("flora-lab", "serve", "--config", str(bus.config), *flags)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 2
     assert message in err

@@ -188,8 +188,3 @@ def test_a_damaged_table_is_one_clear_line(run: RunFolder) -> None:
     run.frames_csv.write_text("file,time_s,light\nframes/000001.jpg;0;left\n")
     with pytest.raises(BadRunFolder, match=r"frames\.csv: the last line is damaged"):
         Store(run)
-
-
-def test_a_run_folder_whose_name_cannot_be_announced_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadRunFolder, match="name"):
-        Store(RunFolder(tmp_path / "a bean"))

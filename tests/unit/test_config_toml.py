@@ -93,6 +93,19 @@ def test_print_config_of_a_service_reads_back(capsys: pytest.CaptureFixture[str]
     assert load_config(path, "recorder", RecorderSection) == (RigSection(), RecorderSection(flush_s=5.0))
 
 
+def test_a_run_folder_is_known_by_its_own_name_where_a_link_leads_to_it(tmp_path: Path) -> None:
+    (tmp_path / "bean 01").mkdir()
+    (tmp_path / "bean-01").mkdir()
+    link, path = tmp_path / "current", tmp_path / "flora.toml"
+    path.write_text(f"[rig]\nrun_dir = '{link}'\n")
+    link.symlink_to(tmp_path / "bean 01")
+    with pytest.raises(ConfigError, match=r"\[rig\]: run_dir .*/current leads to `bean 01`: a run folder's name is"):
+        load_config(path, "led", OwnSection)
+    link.unlink()
+    link.symlink_to(tmp_path / "bean-01")
+    assert load_config(path, "led", OwnSection)[0].run_dir == str(link)
+
+
 def test_check_config_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     from flora_bus.main import main
 

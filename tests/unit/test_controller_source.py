@@ -14,7 +14,7 @@ from flora_common.shapes import Obstacle, Target
 from flora_controller.acceptance import Acceptance, Policy
 from flora_controller.core import ControllerSection
 from flora_controller.serials import Serials
-from flora_controller.source import FileSource, built_in, kept_file
+from flora_controller.source import FileSource, built_in, check_usable, kept_file
 from flora_controller.steering import WaypointSection
 
 GOLDEN = Path(__file__).parent.parent / "golden" / "controllers"
@@ -88,6 +88,19 @@ def test_nothing_happens_while_the_file_stays(rig: Rig) -> None:
 
     assert [source.poll() for _ in range(3)] == [False, False, False]
     assert (source.steering.loaded.data, source.refusal) == (TIP_ONLY, "")
+
+
+def test_what_a_start_would_say_of_a_file_is_known_without_one(rig: Rig) -> None:
+    kept = kept_file(rig.state, rig.path)
+    check_usable(rig.path, kept, accepting())
+    assert not rig.state.exists()
+    write_bytes(rig.path, b"{}")
+    with pytest.raises(BadController, match="not a controller file"):
+        check_usable(rig.path, kept, accepting())
+
+    write_bytes(kept, TIP_ONLY)  # accepted before: a start goes on with it, and so there is nothing to be told
+
+    check_usable(rig.path, kept, accepting())
 
 
 def test_a_new_file_takes_over(rig: Rig) -> None:

@@ -71,11 +71,16 @@ class LabSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return Path(self.output) if self.output else Path(rig.state_dir) / "found"
 
 
-def check(section: LabSection) -> None:
+def check(_: RigSection, section: LabSection) -> None:
     """What a type cannot say.
 
     Raises:
-        ConfigError: both a simulator and a reference.
+        ConfigError: both a simulator and a reference; a file where a folder is to be.
     """
     if section.simulator and section.reference:
         raise ConfigError("[lab] give either `simulator` or `reference`: what plants are compared with")
+    for key, folder in (("jobs_dir", section.jobs_dir), ("output", section.output)):
+        path = Path(folder)
+        nearest = next(one for one in (path, *path.parents, Path("/")) if one.exists())
+        if folder and not nearest.is_dir():
+            raise ConfigError(f"[lab] {key} {folder}: {nearest} is a file; name a folder")

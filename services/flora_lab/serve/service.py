@@ -272,7 +272,6 @@ def _name(entry: Entry) -> str:
 
 def build(app: App[LabSection]) -> None:
     """Hang the service on the app."""
-    check(app.config)
     if app.config.jobs_dir:
         Runner(app, Path(app.config.jobs_dir), _utc)
     if app.config.is_off:
@@ -288,5 +287,10 @@ def build(app: App[LabSection]) -> None:
 def main(argv: Sequence[str]) -> int:
     """The body of ``flora-lab serve``."""
     return run_service(
-        NAME, LabSection, build, argv=argv, description="Watch plants, and diagnose runs that have ended."
+        NAME,
+        LabSection,
+        build,
+        argv=argv,
+        check=check,
+        description="Watch plants, and diagnose runs that have ended.",
     )
