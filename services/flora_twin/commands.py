@@ -25,10 +25,11 @@ from flora_twin.grow import grow, parse_schedule
 from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, PlannedRun, dataset_runs, planned_runs
+from flora_twin.seeds import LARGEST_SEED, Seed
 from flora_twin.server import WorldServer, only_one, parse_start, serve
 from flora_twin.world import World
 
-Seed = Annotated[int, typer.Option(help="The individual plant and all chance; a whole number from 0.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace the file that is there.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +44,7 @@ def register(app: typer.Typer) -> None:
 class TwinSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[twin]``: the virtual grow box of a rig; it listens where ``[rig.clock]`` says."""
 
-    seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
+    seed: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)] = 1
     """The individual plant and all chance."""
 
     rate: Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)] = 0.0
@@ -61,7 +62,9 @@ def serve_world(
     config: Annotated[Path | None, typer.Option(help="The rig's TOML file; options below go before it.")] = None,
     address: Annotated[str | None, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/twin.")] = None,
     state_dir: Annotated[Path | None, typer.Option(help="Folder for checkpoint and truth.jsonl.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="The individual plant and all chance. [default: 1]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=LARGEST_SEED, help="The individual plant and all chance. [default: 1]")
+    ] = None,
     rate: Annotated[
         float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time. [default: 0]")
     ] = None,
@@ -92,8 +95,10 @@ def picture(
     schedule: Annotated[str, typer.Option(help="Light before: `6h`, or `right 37h, left`; LIGHT where missing.")] = "",
     flash: Annotated[bool, typer.Option("--flash/--no-flash")] = True,
     empty: Annotated[bool, typer.Option("--empty", help="The setup without a plant.")] = False,
+    force: Force = False,
 ) -> None:
     """Take one photograph of a plant that grew under a light schedule."""
+    _must_be_new(output, force=force)
     if output.suffix.lower() not in {".jpg", ".jpeg", ".png"}:
         raise BadInput(f"{output}: a picture ends in .jpg or .png")
     if not 0.0 <= hours <= 400.0:
@@ -120,10 +125,17 @@ def grow_track(
     seed: Seed = 1,
     hours: Annotated[float, typer.Option(help="Length of the run.")] = 72.0,
     schedule: Annotated[str, typer.Option(help="`6h` alternates; or a list such as `right 37h, left`.")] = "6h",
+    force: Force = False,
 ) -> None:
     """Grow a plant without pictures and write its track."""
+    _must_be_new(output, force=force)
     track = grow(seed, schedule, hours)
     files.write_text(output, track_text(track.time_s, track.light, track.points_cm))
+
+
+def _must_be_new(output: Path, *, force: bool) -> None:
+    if output.is_dir() or (output.exists() and not force):
+        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
 
 
 def grow_runs(
@@ -156,8 +168,6 @@ def grow_runs(
     """
     if output.exists():
         raise BadInput(f"{output}: is there already; name another folder with -o")
-    if seed < 0:
-        raise BadInput(f"--seed: {seed} is below 0")
     if open_loop + closed_loop + random_loop == 0:
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:

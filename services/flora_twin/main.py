@@ -11,6 +11,7 @@ import typer
 from flora_common.cli import print_version, run_typer
 from flora_twin import commands
 from flora_twin.rig import demo, experiment_command
+from flora_twin.seeds import LARGEST_SEED
 
 PROGRAM: Final = "flora-twin"
 
@@ -36,7 +37,9 @@ def build_app() -> typer.Typer:
                 "--version", help="Print the version and end.", is_eager=True, callback=print_version(PROGRAM)
             ),
         ] = False,
-        seed: Annotated[int | None, typer.Option(min=0, help="Which individual plant, for every command.")] = None,
+        seed: Annotated[
+            int | None, typer.Option(min=0, max=LARGEST_SEED, help="Which individual plant, for every command.")
+        ] = None,
     ) -> None:
         """flora-twin: the virtual grow box (a physical plant, lamps, flash, camera and time), and the demo in it.
 

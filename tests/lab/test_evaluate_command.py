@@ -352,7 +352,7 @@ def test_who_stops_it_keeps_what_is_finished(
         assert ended.value.code == 128 + 15
     # the run was told to end, and had the time for it
     assert (program.parent / twin_fakes.ENDED).read_text() == "20002\n"
-    assert [run.name[-5:] for run in (out / "runs").iterdir() if run.suffix != ".unfinished"] == ["20001"]
+    assert [run.name[-5:] for run in (out / "runs").iterdir() if ".unfinished" not in run.name] == ["20001"]
     assert not (out / "evaluation.json").exists()
 
     (program.parent / twin_fakes.PLAN).write_text("{}")

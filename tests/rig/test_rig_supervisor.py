@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from flora_twin.main import main
 from flora_twin.rig.experiment import parse_speed
 from flora_twin.rig.layout import make_layout, remove_sockets
 from flora_twin.rig.supervisor import ServiceFailed, ServiceRefused, Supervisor, wait_until
+from flora_twin.rig.virtual_rig import VirtualRig
 
 READY = """
 import os, signal, socket, sys
@@ -72,6 +74,68 @@ def test_a_crash_loop_ends(supervisor: Supervisor) -> None:
     supervisor.launch("a", ["false"])
     with pytest.raises(ServiceFailed, match="ended with status 1"):
         supervisor.wait_ready(["a"], within_s=60.0)
+
+
+def test_one_that_ends_at_its_start_is_told_at_once_with_its_last_line(supervisor: Supervisor) -> None:
+    began_s = time.monotonic()
+    supervisor.launch("a", [sys.executable, "-c", "raise OverflowError('too large a seed')"])
+    with pytest.raises(ServiceFailed, match="a ended with status 1 at its start: OverflowError: too large a seed"):
+        supervisor.wait_ready(["a"], within_s=30.0)
+    assert supervisor.children["a"].restarts == 0
+    assert time.monotonic() - began_s < 10.0
+
+
+def test_one_that_is_killed_at_its_start_is_started_again(supervisor: Supervisor, tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
+    once = f"import os, pathlib\nif not pathlib.Path({str(killed)!r}).exists():\n"
+    once += f"    pathlib.Path({str(killed)!r}).touch(); os.kill(os.getpid(), 9)\n"
+    supervisor.start("a", python(once + READY))
+    assert supervisor.children["a"].restarts == 1
+
+
+@pytest.fixture
+def starting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], VirtualRig]]:
+    """Makes a virtual rig whose grow box is a program of ours, and is not started yet."""
+    with contextlib.ExitStack() as stack:
+
+        def make(code: str) -> VirtualRig:
+            program = tmp_path / "flora-twin"
+            program.write_text(f"#!{sys.executable}\n{code}\n")
+            program.chmod(0o755)
+            monkeypatch.setattr("flora_twin.rig.virtual_rig.command", lambda _: str(program))
+            layout = make_layout(tmp_path / "rig", RunFile(camera=camera_section()))
+            return stack.enter_context(VirtualRig(layout, seed=1))
+
+        yield make
+
+
+def test_a_box_that_dies_at_its_start_is_told_and_not_waited_for(starting: Callable[[str], VirtualRig]) -> None:
+    began_s = time.monotonic()
+    with pytest.raises(ServiceFailed, match="flora-twin ended with status 1 at its start: no such plant"):
+        starting("raise SystemExit('no such plant')").start()
+    assert time.monotonic() - began_s < 10.0
+
+
+def test_ctrl_c_is_heard_while_the_box_starts(starting: Callable[[str], VirtualRig]) -> None:
+    rig = starting("import time; time.sleep(600)")
+    threading.Timer(0.3, rig.supervisor.interrupt).start()
+    began_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        rig.start()
+    assert time.monotonic() - began_s < 5.0
+
+
+def test_after_ctrl_c_all_end_together_and_no_lamp_is_darkened(supervisor: Supervisor, tmp_path: Path) -> None:
+    calls = tmp_path / "calls"
+    slow = f"import sys, time\nopen({str(calls)!r}, 'a').write(' '.join(sys.argv[1:]) + ';')\n{READY}\ntime.sleep(1)"
+    names = ["flora-led", "flora-flash", "c", "d"]
+    for name in names:
+        supervisor.launch(name, python(slow))
+    supervisor.wait_ready(names)
+    began_s = time.monotonic()
+    supervisor.end_all(names)
+    assert time.monotonic() - began_s < 3.0
+    assert calls.read_text() == ";;;;"
 
 
 def test_lamps_are_darkened_after_every_death(supervisor: Supervisor, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from flora_common import files
+from flora_common.controller_file import SUFFIX
 from flora_common.errors import BadInput, FloraError
 from flora_common.experiment_file import NAME, ExperimentFile, read_experiment
 from flora_common.installed import command
@@ -28,6 +29,7 @@ from flora_lab.evolve.task import Scenario, Task
 from flora_lab.report import strip, summary
 
 TWIN_COMMAND: Final = "flora-twin"
+STEERING_FILE: Final = "asked.controller.json"
 STRIP_FILE: Final = "strip.jpg"
 STRIP_PANELS: Final = 4
 
@@ -183,14 +185,18 @@ def _unfinished(place: Path) -> Path:
     return place.with_name(f"{place.name}.unfinished")
 
 
+def _steering(place: Path) -> Path:
+    """The controller that a run is made with, until it is moved into the run's folder."""
+    return place.with_name(f"{_unfinished(place).name}{SUFFIX}")
+
+
 def _start(run: TwinRun, place: Path, screen: TextIO | None) -> subprocess.Popen[str]:
     """Start a run; told to stop, it stops its rig first."""
     unfinished = _unfinished(place)
     if unfinished.exists():
         shutil.rmtree(unfinished)
-    files.make_folder(unfinished)
-    # The controller as it was read, whatever has become of its file since.
-    steering = unfinished / "asked.controller.json"
+    # The controller as it was read, whatever has become of its file since; beside a folder that is the twin's alone.
+    steering = _steering(place)
     files.write_bytes(steering, run.controller.loaded.data)
     quiet = [] if screen else ["--quiet"]
     # In a session of its own: Ctrl-C reaches this process alone, which then ends the rig as a whole.
@@ -212,10 +218,12 @@ def _finish(run: TwinRun, place: Path, process: subprocess.Popen[str], said: str
     Raises:
         RunFailed: it did not come to its end; what it left stays under the other name, with the rig's logs.
     """
+    unfinished = _unfinished(place)
+    files.make_folder(unfinished)
+    _steering(place).rename(unfinished / STEERING_FILE)
     if process.returncode != 0:
         lines = said.strip().splitlines() or [f"{TWIN_COMMAND} ended with status {process.returncode}"]
         raise RunFailed(lines[-1].removeprefix(f"{TWIN_COMMAND}: "))
-    unfinished = _unfinished(place)
     try:
         outcome = read_experiment(unfinished)
         run.check(outcome, unfinished)

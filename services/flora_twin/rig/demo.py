@@ -15,6 +15,7 @@ from flora_twin.rig.experiment import Experiment, check_photographs, parse_speed
 from flora_twin.rig.faults import parse_fault
 from flora_twin.rig.outcome import tell
 from flora_twin.rig.shipped_controller import CONTROLLER, EVOLVED, KEYS_DIR
+from flora_twin.seeds import Seed
 
 
 def register(app: typer.Typer) -> None:
@@ -25,7 +26,7 @@ def register(app: typer.Typer) -> None:
 def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("out"),
-    seed: Annotated[int, typer.Option(min=0, help="Which individual plant.")] = 1,
+    seed: Seed = 1,
     speed: Annotated[
         str, typer.Option(help="lockstep (as fast as the services answer), realtime, or N times.")
     ] = "lockstep",
@@ -44,6 +45,7 @@ def demo(
     """Grow a virtual plant with all services and show what came of it."""
     asked = Experiment(
         out=out,
+        made_by="flora-twin demo",
         start=datetime.now(UTC).replace(microsecond=0),
         seed=seed,
         rate=parse_speed(speed),

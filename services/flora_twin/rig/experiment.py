@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import socket
+import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,19 +23,18 @@ from flora_common.controller_file import SUFFIX, LoadedController
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes
 from flora_common.geometry import collides
+from flora_common.installed import command
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.runs import RunFile
 from flora_common.shapes import Obstacle, Target
 from flora_twin.box import camera_section
 from flora_twin.rig.faults import FaultSchedule, PlannedFault
 from flora_twin.rig.integrity import check_run
-from flora_twin.rig.layout import Layout, make_layout, with_task
+from flora_twin.rig.layout import Layout, claimed, make_layout, remove_sockets, with_task
 from flora_twin.rig.outcome import Outcome, write_report
 from flora_twin.rig.supervisor import ServiceFailed
 from flora_twin.rig.truth import check_truth
-from flora_twin.rig.virtual_rig import DASHBOARD, SERVICES, Seen, VirtualRig
-
-RIG_FOLDER = "rig"
+from flora_twin.rig.virtual_rig import CONTROLLER, DASHBOARD, SERVICES, Seen, VirtualRig
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,7 @@ class Experiment:
 
     Attributes:
         out: folder for report, picture strip, and the rig's own folder ``rig/``.
+        made_by: the command; what another one made is not replaced.
         start: UTC at which the run is said to begin.
         seed: the plant's individual.
         rate: 0 for lock-step, else times real time.
@@ -57,6 +60,7 @@ class Experiment:
     """
 
     out: Path
+    made_by: str
     start: datetime
     seed: int = 1
     rate: float = 0.0
@@ -100,11 +104,18 @@ def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any],
     """Grow the plant; returns the report's figures, and what else happened.
 
     Raises:
-        FloraError: a service failed, or it refuses what it was given.
+        FloraError: a service failed, or it refuses what it was given. What cannot be used is told before anything in
+            the folder is removed.
     """
-    _check_faults(asked)
+    _check_hours(asked)
+    _check_controller(asked)
+    with claimed(asked.out, asked.made_by) as root:
+        return _run_in(root, asked, console)
+
+
+def _run_in(root: Path, asked: Experiment, console: Console) -> tuple[dict[str, Any], Outcome]:
     port = _free_port() if asked.dashboard else None
-    layout = _make_rig(asked, port)
+    layout = _make_rig(root, asked, port)
     began_s = time.monotonic()
     with VirtualRig(layout, seed=asked.seed, rate=asked.rate) as rig, _polite_end(rig):
         if not asked.quiet:
@@ -147,10 +158,9 @@ def check_photographs(outcome: Outcome) -> None:
         raise ServiceFailed(f"photographs were lost: {outcome.integrity}")
 
 
-def _make_rig(asked: Experiment, port: int | None) -> Layout:
+def _make_rig(root: Path, asked: Experiment, port: int | None) -> Layout:
     run_file = RunFile(camera=camera_section(), rig="demo", plant=f"virtual bean, seed {asked.seed}", start=asked.start)
     task = with_task(run_file, asked.target, asked.obstacle)
-    root = asked.out / RIG_FOLDER
     sections: dict[str, dict[str, Any]] = {} if port is None else {"dashboard": {"port": port}}
     if not isinstance(asked.controller, LoadedController):
         named = {"use": asked.controller}
@@ -177,7 +187,31 @@ def _free_port() -> int:
     raise ServiceFailed("no port of 127.0.0.1 is free for the page; --no-dashboard does without")
 
 
-def _check_faults(asked: Experiment) -> None:
+def _check_controller(asked: Experiment) -> None:
+    """Whether flora-controller would steer so: it is asked in a rig that is thrown away."""
+    with tempfile.TemporaryDirectory(prefix="flora-") as folder:
+        layout = _make_rig(Path(folder) / "rig", asked, None)
+        try:
+            done = subprocess.run(
+                [command(CONTROLLER), "--config", str(layout.config), "--check-config"],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+        finally:
+            remove_sockets(layout)
+    if done.returncode == 0:
+        return
+    said = (done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"])[-1]
+    if done.returncode != BadInput.exit_status:
+        raise ServiceFailed(f"{CONTROLLER} cannot be asked: {said}")
+    # A file of the rig that is gone by now helps nobody.
+    raise BadInput(said.removeprefix(f"{CONTROLLER}: ").removeprefix(f"{layout.run.run_toml}: "))
+
+
+def _check_hours(asked: Experiment) -> None:
+    if not math.isfinite(asked.hours) or not math.isfinite(asked.stop_height_cm):
+        raise BadInput("--hours and --stop-height: give numbers")
     for planned in asked.faults:
         if planned.at_h >= asked.hours:
             raise BadInput(

@@ -20,8 +20,10 @@ from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import Obstacle, Target
 from flora_common.toml_strict import convert
-from flora_twin.rig.experiment import RIG_FOLDER, Experiment, check_photographs, parse_speed, run_experiment
+from flora_twin.rig.experiment import Experiment, check_photographs, parse_speed, run_experiment
+from flora_twin.rig.layout import RIG_FOLDER
 from flora_twin.rig.outcome import Outcome, tell
+from flora_twin.seeds import Seed
 
 TARGET_KEYS: Final = ("x_cm", "y_cm", "radius_cm")
 OBSTACLE_KEYS: Final = ("x_cm", "y_cm", "width_cm", "height_cm")
@@ -42,7 +44,7 @@ def experiment(
     obstacle: Annotated[
         str, typer.Option(metavar="X,Y[,WIDTH,HEIGHT]", help="Centre and size in cm; the paper's where missing.")
     ] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Which individual plant.")] = 1,
+    seed: Seed = 1,
     hours: Annotated[float, typer.Option(min=0.1, max=2000.0, help="Longest run.")] = RUN_HOURS,
     stop_height_cm: Annotated[
         float, typer.Option("--stop-height", min=0.1, max=500.0, help="The run is over with the tip this high, in cm.")
@@ -58,6 +60,7 @@ def experiment(
     """
     asked = Experiment(
         out=output,
+        made_by="flora-twin experiment",
         start=datetime.now(UTC).replace(microsecond=0),
         seed=seed,
         rate=parse_speed(speed),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import re
 import signal
@@ -59,7 +60,16 @@ def parse_fault(text: str) -> PlannedFault:
     argument = match["argument"] or ""
     if name == "service_killed" and argument not in (BUS, *SERVICES):
         raise BadInput(f"fault `{text}`: name a service, such as service_killed@12h=flora-stem")
+    if name == "clock_jumps" and argument and not _is_number(argument):
+        raise BadInput(f"fault `{text}`: name the seconds of the jump, such as clock_jumps@12h=3600")
     return PlannedFault(name, float(match["at"]), float(match["for"]) if match["for"] else None, argument)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 @contextlib.contextmanager

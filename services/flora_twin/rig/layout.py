@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,12 +16,17 @@ import tomli_w
 
 from flora_common.errors import BadInput
 from flora_common.files import make_folder, write_text
+from flora_common.lock import AlreadyHeld, hold
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET
 from flora_common.runs import ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
 from flora_common.shapes import Obstacle, Target
 
 MARKER: Final = ".flora-rig"
-"""Marks a folder as one of ours: only such a folder is ever emptied."""
+"""Marks a folder as one of ours, and says which command made it: only such a folder is ever emptied."""
+LOCK_FILE: Final = "lock"
+RIG_FOLDER: Final = "rig"
+"""Of a folder of results: the rig that they are from."""
+_MAKER_UNTOLD: Final = "a virtual rig"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +67,52 @@ class Layout:
         return f"ipc://{self.sockets}/box"
 
 
+@contextlib.contextmanager
+def claimed(out: Path, made_by: str) -> Iterator[Path]:
+    """Hold a folder of results for this process, and give the folder in it for the rig: nothing is removed yet.
+
+    Args:
+        out: new, empty, or of the same command; anything else is left as it is.
+        made_by: the command.
+
+    Raises:
+        BadInput: it holds something else, cannot be written, or another process is at work there.
+    """
+    _check_maker(out, made_by)
+    root = out / RIG_FOLDER
+    try:
+        make_folder(root)
+        if not (root / MARKER).exists():
+            write_text(root / MARKER, f"made by {made_by}; this folder is emptied when the next rig is made here\n")
+        lock = hold(root / LOCK_FILE)
+    except AlreadyHeld as by:
+        raise BadInput(
+            f"{out}: another flora-twin (pid {by.pid}) is at work there; choose another folder, or wait for its end"
+        ) from None
+    except OSError as problem:
+        raise BadInput(f"{out}: cannot be written ({problem.strerror})") from problem
+    try:
+        yield root
+    finally:
+        os.close(lock)
+
+
+def _check_maker(out: Path, made_by: str) -> None:
+    if not out.is_dir():
+        if out.exists() or out.is_symlink():
+            raise BadInput(f"{out}: is there already and no folder; choose another one")
+        return
+    if not any(out.iterdir()):
+        return
+    try:
+        said = (out / RIG_FOLDER / MARKER).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        raise BadInput(f"{out}: holds other files; choose an empty or a new folder") from None
+    maker = said.partition(";")[0].removeprefix("made by ")
+    if maker not in (made_by, _MAKER_UNTOLD):
+        raise BadInput(f"{out}: was made by `{maker[:60]}` and is not replaced; choose an empty or a new folder")
+
+
 def make_layout(root: Path, run_file: RunFile, *, sections: dict[str, dict[str, Any]] | None = None) -> Layout:
     """An empty virtual rig under ``root``, ready to start.
 
@@ -73,9 +127,10 @@ def make_layout(root: Path, run_file: RunFile, *, sections: dict[str, dict[str, 
     if root.exists() and any(root.iterdir()):
         if not (root / MARKER).is_file():
             raise BadInput(f"{root}: holds other files; choose an empty or a new folder")
-        shutil.rmtree(root)
-    make_folder(root)
-    write_text(root / MARKER, "a virtual rig; this folder is emptied when the next one is made here\n")
+        _empty(root)
+    else:
+        make_folder(root)
+        write_text(root / MARKER, f"{_MAKER_UNTOLD}; this folder is emptied when the next one is made here\n")
     # Socket paths are limited to 107 bytes, wherever the rig's folder lies.
     layout = Layout(root.resolve(), Path(tempfile.mkdtemp(prefix="flora-")))
     for folder in (layout.run.path, layout.state_dir, layout.box_dir, layout.nas, layout.logs):
@@ -87,6 +142,17 @@ def make_layout(root: Path, run_file: RunFile, *, sections: dict[str, dict[str, 
         tables.setdefault(name, {}).update(keys)
     write_text(layout.config, tomli_w.dumps(tables))
     return layout
+
+
+def _empty(root: Path) -> None:
+    """Remove an older rig; whose the folder is, and the lock, stay: who removed a lock would let two hold one each."""
+    for entry in root.iterdir():
+        if entry.name in (MARKER, LOCK_FILE):
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
 
 
 def _default_sections(layout: Layout, run_file: RunFile) -> dict[str, dict[str, Any]]:

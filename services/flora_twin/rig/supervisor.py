@@ -50,9 +50,11 @@ class Child:
     notify: socket.socket
     process: subprocess.Popen[bytes] | None = None
     ready: bool = False
+    was_ready: bool = False
     last_alive_s: float = 0.0
     restarts: int = 0
     restart_at_s: float | None = None
+    darkens: bool = False
     darkening: subprocess.Popen[bytes] | None = None
     darken_until_s: float = 0.0
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=START_LIMIT))
@@ -92,7 +94,7 @@ class Supervisor:
         notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         notify.bind(str(address))
         notify.setblocking(False)
-        child = Child(name, list(argv), self._logs / f"{name}.log", notify)
+        child = Child(name, list(argv), self._logs / f"{name}.log", notify, darkens=name in DARKENED)
         self.children[name] = child
         self._spawn(child)
 
@@ -167,6 +169,14 @@ class Supervisor:
         names += [n for n in reversed(list(self.children)) if n not in names]
         return {name: self.stop(name) for name in names}
 
+    def end_all(self, names: Sequence[str]) -> None:
+        """After a failure or Ctrl-C: these at once, then what they rest on; lamps go with their box and stay as lit."""
+        for child in self.children.values():
+            child.darkens = False
+            if child.name in names and child.process is not None:
+                child.process.terminate()
+        self.stop_all(names)
+
     def _spawn(self, child: Child) -> None:
         environment = {
             **os.environ,
@@ -198,6 +208,7 @@ class Supervisor:
                 return
             child.last_alive_s = now_s
             child.ready = child.ready or "READY=1" in lines
+            child.was_ready = child.was_ready or child.ready
 
     def _died(self, child: Child, now_s: float) -> None:
         status = 0
@@ -209,13 +220,16 @@ class Supervisor:
         child.deaths.append(now_s)
         if status == BadInput.exit_status:
             raise ServiceRefused(self._last_line(child.name))
+        # One that ends by itself before it was ever ready would do so again; one that was killed need not.
+        if status > 0 and not child.was_ready:
+            raise ServiceFailed(f"{child.name} ended with status {status} at its start: {self._last_line(child.name)}")
         if len(child.deaths) == START_LIMIT and now_s - child.deaths[0] < START_LIMIT_WINDOW_S:
             raise ServiceFailed(f"{child.name} ended with status {status}: {self._last_line(child.name)}")
         child.restart_at_s = now_s + RESTART_AFTER_S
 
     def _stop_post(self, child: Child) -> None:
         """Begin to darken. Not waited for: it may need a box that :meth:`poll` has yet to start again."""
-        if child.name in DARKENED:
+        if child.darkens:
             child.darken_until_s = time.monotonic() + STOP_TIMEOUT_S
             with child.log.open("ab") as log:
                 child.darkening = subprocess.Popen(

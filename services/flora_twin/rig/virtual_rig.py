@@ -37,13 +37,14 @@ from flora_twin.rig.supervisor import ServiceFailed, Supervisor, wait_until
 
 BOX: Final = "flora-twin"
 BUS: Final = "flora-bus"
+CONTROLLER: Final = "flora-controller"
 SERVICES: Final = (
     "flora-recorder",
     "flora-uploader",
     "flora-led",
     "flora-capture",
     "flora-stem",
-    "flora-controller",
+    CONTROLLER,
     "flora-flash",
 )
 DASHBOARD: Final = "flora-dashboard"
@@ -53,7 +54,7 @@ STOP_ORDER: Final = (
     "flora-flash",
     "flora-capture",
     "flora-stem",
-    "flora-controller",
+    CONTROLLER,
     "flora-led",
     "flora-recorder",
     "flora-uploader",
@@ -132,7 +133,10 @@ class VirtualRig:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, tb: TracebackType | None) -> None:
-        self.supervisor.stop_all(STOP_ORDER)
+        if value is None:
+            self.supervisor.stop_all(STOP_ORDER)
+        else:
+            self.supervisor.end_all([n for n in STOP_ORDER if n != BUS])
         if self._bus is not None:
             self._bus.close()
         if self._box is not None:
@@ -152,8 +156,8 @@ class VirtualRig:
         Raises:
             ServiceFailed: one of them is not.
         """
-        self.supervisor.launch(BOX, [command(BOX), "serve", *self._box_arguments()])
-        self.box.now()
+        # Ready before it is asked: a question to a box that has died would be waited for, deaf to Ctrl-C.
+        self.supervisor.start(BOX, [command(BOX), "serve", *self._box_arguments()])
         self.box.ask("plant", present=False)
         self.supervisor.start(BUS, self._argv(BUS))
         for name in services:
