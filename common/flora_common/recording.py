@@ -239,12 +239,16 @@ class RecordingWriter:
 
         Raises:
             DiskFull, StoreError: there is no room for the end of the file. It keeps its ``.open`` name with all that
-                was flushed before, for :func:`recover` to finish.
+                was flushed before, for :func:`recover` to finish; where that is nothing, nothing is left.
         """
         try:
             self.flush()
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._commit()
+        except StoreError:
+            if self._tail.committed == 0 and self.is_in_place:
+                self.open_path.unlink()
+            raise
         finally:
             self._file.close()
         try:

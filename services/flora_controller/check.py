@@ -8,7 +8,7 @@ from pathlib import Path
 
 from flora_common.cli import run_cli
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller
-from flora_common.errors import BadController
+from flora_common.errors import BadController, BadInput
 from flora_common.signing import read_trusted_keys, signer_of
 
 
@@ -47,6 +47,8 @@ def _range(loaded: LoadedController) -> str:
 def _signed(loaded: LoadedController, keys_dir: Path | None) -> str:
     file = loaded.file
     if keys_dir is not None:
+        if not keys_dir.is_dir():
+            raise BadInput(f"--keys {keys_dir}: no such folder")
         try:
             signer = str(signer_of(loaded, read_trusted_keys(keys_dir)))
         except BadController as problem:

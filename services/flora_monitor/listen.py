@@ -11,7 +11,7 @@ from typing import Final
 import zmq
 
 from flora_common.bus import Arrival, BusClient
-from flora_common.clock import SystemClock
+from flora_common.clock import NS, SystemClock
 from flora_common.config import RigSection
 from flora_common.health import HealthBoard
 from flora_common.messages import Health
@@ -152,6 +152,48 @@ def hear_health(
         if batch.real_s - answered_s >= limit_s or (ends_early and batch.is_live and board.is_decided):
             break
     return True
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """A service that was heard to live."""
+
+    rig: str
+    source: str
+
+
+def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_known: bool) -> Alive | None:
+    """A service of one of these rigs that lives, the bus aside; None where none does, or no bus answers.
+
+    What the bus had kept proves nothing: a recording that was played leaves it too. Where there is such a value, a sign
+    of life is waited for.
+
+    Args:
+        listener: of ``health``.
+        rigs: their names.
+        within_s: how long, after the bus has answered; a living service says something within that time.
+        ages_are_known: rig time is this machine's own clock: what is older is no sign of life, and not waited for.
+    """
+    is_doubtful, answered_s = False, None
+    for batch in listener.batches(every_s=0.05):
+        for arrival in batch.arrivals:
+            said = arrival.message
+            if arrival.rig in rigs and isinstance(said, Health) and said.source != "flora-bus":
+                if batch.is_live:
+                    return Alive(arrival.rig, said.source)
+                age_s = (SystemClock().mono_ns() - said.t_mono_ns) / NS
+                is_doubtful = is_doubtful or not ages_are_known or 0.0 <= age_s <= within_s
+        if not listener.connected:
+            if listener.waited_s > NO_BUS_AFTER_S:
+                return None
+            continue
+        if answered_s is None:
+            answered_s = batch.real_s
+            if is_doubtful:
+                listener.warn(f"the bus has kept health of that rig; waiting {within_s:g} s for a sign of life")
+        if not is_doubtful or batch.real_s - answered_s >= within_s:
+            return None
+    return None
 
 
 def rigs_on(rig: RigSection) -> list[str]:

@@ -20,12 +20,11 @@ from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
 from flora_common.errors import BadInput
 from flora_common.health import HealthBoard
-from flora_common.messages import Health
 from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
 from flora_monitor import show, tape
 from flora_monitor.doctor_command import doctor
-from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener, hear_health
+from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener, hear_health, hear_life
 from flora_monitor.options import (
     Common,
     Config,
@@ -192,10 +191,10 @@ def health(
 ) -> None:
     """How each service is; status 1 when one is not ready, silent or was never heard."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
+    expected = common.services(pattern)
     period_s = common.rig.health_every_s
     listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health", is_patient=False)
     clock = SystemClock()
-    expected = [name for name in common.section.services if matches(pattern, name)]
     board = HealthBoard(expected, period_s=period_s, ages_are_known=common.is_this_machine)
     answered = hear_health(
         listener,
@@ -271,7 +270,9 @@ def replay(
     only: Annotated[
         str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded", callback=checked_pattern)
     ] = "*",
-    rate: Annotated[float, typer.Option("--rate", min=0.001, help="recorded seconds per second")] = 1.0,
+    rate: Annotated[
+        float | None, typer.Option("--rate", min=0.001, help="recorded seconds per second; 1 where not given")
+    ] = None,
     as_fast: Annotated[bool, typer.Option("--as-fast", help="without waiting")] = False,
     rig: Annotated[str | None, typer.Option("--rig", help="say it as this rig", metavar="NEW")] = None,
     force: Annotated[bool, typer.Option("--force", help="even where services of that rig are alive")] = False,
@@ -280,6 +281,8 @@ def replay(
     subscribe: Subscribe = None,
 ) -> None:
     """Say recorded messages again, with the bytes, sequence numbers and times that were recorded."""
+    if as_fast and rate is not None:
+        raise BadInput("give either --as-fast or --rate")
     common = common_options(config, rig, publish, subscribe, as_json=False)
     reader = RecordingReader(file)
     player = tape.Player(common.rig.bus, rig=rig, only=only)
@@ -288,7 +291,7 @@ def replay(
         if not force:
             _refuse_live_rig(common, {rig} if rig else _rigs_in(file, only))
         with _summed_up(lambda: _played(file, played)):
-            player.play(reader, played, rate=None if as_fast else rate)
+            player.play(reader, played, rate=None if as_fast else rate or 1.0)
     finally:
         player.close()
     if played.problem:
@@ -312,18 +315,15 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
     """A recorded `light` would drive the lamps of a rig that runs."""
     listener = Listener(common.rig, pattern="health", is_patient=False)
     try:
-        for batch in listener.batches(every_s=0.05):
-            for arrival in batch.arrivals:
-                alive = arrival.message
-                if arrival.rig in rigs and isinstance(alive, Health) and alive.source != "flora-bus":
-                    raise BadInput(
-                        f"{alive.source} of rig `{arrival.rig}` is on this bus and would take the recording for real; "
-                        "use --rig NEW, or --force"
-                    )
-            if listener.connected or listener.waited_s > NO_BUS_AFTER_S:
-                return
+        period_s, is_here = common.rig.health_every_s, common.is_this_machine
+        alive = hear_life(listener, rigs, within_s=LATE_FACTOR * period_s, ages_are_known=is_here)
     finally:
         listener.close()
+    if alive is not None:
+        raise BadInput(
+            f"{alive.source} of rig `{alive.rig}` is on this bus and would take the recording for real; "
+            "use --rig NEW, or --force"
+        )
 
 
 @app.command()

@@ -12,13 +12,16 @@ import typer
 
 from flora_common.bus_keys import is_loopback
 from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
-from flora_common.errors import BadRunFolder
-from flora_common.health import services_of_catalogue
+from flora_common.errors import BadInput, BadRunFolder
+from flora_common.health import COMES_AND_GOES, ONLY_LOOKS, services_of_catalogue
 from flora_common.runs import RunFolder
+from flora_common.suggest import did_you_mean
 from flora_monitor.listen import Listener
-from flora_monitor.stats import Board, checked_pattern
+from flora_monitor.stats import Board, checked_pattern, matches
 
 DEFAULT_TICK_S: Final = 300.0
+BESIDES: Final = (ONLY_LOOKS, COMES_AND_GOES)
+"""A rig is well without them, and they tell their health."""
 
 
 class MonitorSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,6 +60,19 @@ class Common:
             return RunFolder(Path(self.rig.run_dir)).read_run_file().interval_s
         except BadRunFolder:
             return DEFAULT_TICK_S
+
+    def services(self, pattern: str) -> list[str]:
+        """Those that must be there, of the ones that a pattern names; whoever is named in full must be there, too.
+
+        Raises:
+            BadInput: it names none that is known.
+        """
+        known = (*self.section.services, *(name for name in BESIDES if name not in self.section.services))
+        if not any(matches(pattern, name) for name in known):
+            raise BadInput(f"no service is called `{pattern[:60]}`{did_you_mean(pattern, known)}")
+        if pattern in known:
+            return [pattern]
+        return [name for name in self.section.services if matches(pattern, name)]
 
     def board(self, interval_s: float | None = None) -> Board:
         return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)

@@ -111,12 +111,14 @@ def _key_file(folder: Path, kind: str) -> Path:
         "encrypted": ADA.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"secret")),
         "of another kind": curve.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
         "public": (folder / "keys" / "flora.pub").read_bytes(),
+        "public and open to others": (folder / "keys" / "flora.pub").read_bytes(),
+        "no key": b"a text",
         "large": b" " * 20_000,
     }
     data = contents[kind]
     if data is not None:
         path.write_bytes(data)
-        path.chmod(0o640 if kind == "open to others" else 0o600)
+        path.chmod(0o640 if kind.endswith("open to others") else 0o600)
     return path
 
 
@@ -127,7 +129,9 @@ def _key_file(folder: Path, kind: str) -> Path:
         ("open to others", "others than its owner can use this key; chmod 600"),
         ("encrypted", "is encrypted"),
         ("of another kind", "not an Ed25519 private key"),
-        ("public", "not a private key (`flora-lab keygen` writes one"),
+        ("public", "holds a public key; sign with the private one, flora.key"),
+        ("public and open to others", "holds a public key"),
+        ("no key", "not a private key (`flora-lab keygen` writes one"),
         ("large", "not a private key file"),
     ],
 )
@@ -248,6 +252,16 @@ def test_check_refuses_what_none_of_the_keys_has_signed(
     first, second = capsys.readouterr().err.splitlines()
     assert first.endswith(f"a key that is not trusted; the keys asked are those in {pair}")
     assert second.endswith(f"is not signed; the keys asked are those in {pair}")
+
+
+def test_check_tells_where_no_keys_are(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.controller.json"
+    path.write_bytes(signed().data)
+    capsys.readouterr()
+
+    assert controller(["check", str(path), "--keys", str(tmp_path / "nope")]) == 2
+
+    assert capsys.readouterr().err == f"flora-controller: --keys {tmp_path / 'nope'}: no such folder\n"
 
 
 def test_help_does_not_wait_for_cryptography() -> None:

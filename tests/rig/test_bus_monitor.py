@@ -255,13 +255,45 @@ def test_replay_does_not_drive_a_living_rig_unasked(live: Any, tmp_path: Path) -
     file = tmp_path / "a.mcap"
     record = monitor(live, "record", str(file), "tick", "--count", "1")
     record.communicate(timeout=20)
+    live.sections["rig"]["health_every_s"] = 10.0
     replay = monitor(live, "replay", str(file))
+    assert replay.stderr is not None
+    assert "waiting 25 s for a sign of life" in replay.stderr.readline()
+    live.me.publish(Health(state="ready"))
     _, err = replay.communicate(timeout=20)
     assert replay.returncode == 2
     assert err == (
         "flora-monitor: flora-flash of rig `test` is on this bus and would take the recording for real; "
         "use --rig NEW, or --force\n"
     )
+
+
+def test_what_a_replay_left_at_the_bus_is_no_living_rig(live: Any, tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    record = monitor(live, "record", str(file), "*/[th]*", "--count", "2")
+    record.communicate(timeout=20)
+    live.sections["rig"]["health_every_s"] = 0.4
+    for _ in range(2):
+        replay = monitor(live, "replay", str(file), "--rig", "other", "--as-fast")
+        _, err = replay.communicate(timeout=20)
+        assert replay.returncode == 0, err
+        assert "2 messages said again" in err
+
+
+def test_a_service_that_nobody_knows_is_refused_and_one_that_need_not_be_there_is_missed(live: Any) -> None:
+    for name, said in (
+        ("flora-stam", "; did you mean `flora-stem`?"),
+        ("typo*", "; known: flora-bus, flora-capture, "),
+    ):
+        unknown = monitor(live, "health", name)
+        out, err = unknown.communicate(timeout=20)
+        assert (unknown.returncode, out) == (2, "")
+        assert err.startswith(f"flora-monitor: no service is called `{name}`{said}")
+        assert err.count("\n") == 1
+    lab = monitor(live, "health", "flora-lab")
+    out, _ = lab.communicate(timeout=20)
+    assert lab.returncode == 1
+    assert [(line["service"], line["state"]) for line in lines_of(out)] == [("flora-lab", "never heard")]
 
 
 def test_check_of_a_cut_file_says_where_and_fails(live: Any, tmp_path: Path) -> None:
@@ -306,6 +338,7 @@ def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -
         (["health", "flora-[fl"], "`[` without `]`"),
         (["record", "a.mcap", "[t]*["], "`[` without `]`"),
         (["replay", "a.mcap", "--only", "["], "`[` without `]`"),
+        (["replay", "a.mcap", "--as-fast", "--rate", "2"], "give either --as-fast or --rate"),
         (["check"], "check --help"),
         (["check", "none.mcap"], "none.mcap: cannot be read (No such file or directory)"),
         (["replay", "none.mcap"], "none.mcap: cannot be read (No such file or directory)"),

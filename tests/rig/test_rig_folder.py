@@ -13,7 +13,9 @@ from flora_common.errors import BadInput
 from flora_common.runs import RunFile
 from flora_twin.box import camera_section
 from flora_twin.main import main
+from flora_twin.rig import experiment
 from flora_twin.rig.layout import LOCK_FILE, MARKER, RIG_FOLDER, claimed, make_layout, remove_sockets
+from flora_twin.rig.supervisor import ServiceFailed
 
 DEMO = "flora-twin demo"
 EXPERIMENT = "flora-twin experiment"
@@ -130,6 +132,21 @@ def test_a_folder_of_a_time_when_nothing_was_said_of_the_command_may_be_replaced
     (root / MARKER).write_text("a virtual rig; this folder is emptied when the next one is made here\n")
     with claimed(tmp_path, DEMO) as claimed_root:
         assert claimed_root == root
+
+
+@pytest.mark.parametrize("problem", [ValueError("half a line"), ServiceFailed("no tick for 180 s")])
+def test_whatever_goes_wrong_on_a_full_disk_is_told_as_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], problem: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise problem
+
+    monkeypatch.setattr(experiment, "_run_in", fail)
+    monkeypatch.setattr(experiment, "LEAST_FREE_BYTES", 2**62)
+    assert main(["demo", "--out", str(tmp_path), "--controller", "dark"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"flora-twin: {tmp_path}: no room on the disk; free some space")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", [["grow", "--hours", "1"], ["picture", "--hours", "0"]])

@@ -216,7 +216,17 @@ def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: p
     assert writer.bytes < 60_000
     with pytest.raises(DiskFull):
         writer.close()
-    assert writer.open_path.exists()
+    assert not list(tmp_path.iterdir())  # nothing had been flushed: an empty file would only be in the way
+
+
+def test_what_was_flushed_before_the_disk_was_full_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    writer.add(stem(1), utc_ns=0)
+    writer.flush()
+    monkeypatch.setattr(recording, "_write_all", full(10**9))
+    with pytest.raises(DiskFull):
+        writer.close()
+    assert writer.open_path.stat().st_size > 0
 
 
 def make_recorder(

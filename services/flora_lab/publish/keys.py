@@ -63,9 +63,11 @@ def read_private_key(path: Path) -> Ed25519PrivateKey:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_KEY_FILE:
             raise BadInput(f"{path}: not a private key file")
+        data = path.read_bytes()
+        if b"PUBLIC KEY" in data:
+            raise BadInput(f"{path}: holds a public key; sign with the private one, {PRIVATE_NAME} beside it")
         if status.st_mode & 0o077:
             raise BadInput(f"{path}: others than its owner can use this key; chmod 600 {path}")
-        data = path.read_bytes()
     except OSError as problem:
         raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
     try:

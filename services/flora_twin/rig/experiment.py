@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,14 +14,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from flora_common.config import DASHBOARD_PORT
 from flora_common.controller_file import SUFFIX, LoadedController
-from flora_common.errors import BadInput
+from flora_common.errors import BadInput, DiskFull, FloraError
 from flora_common.files import write_bytes
 from flora_common.geometry import collides
 from flora_common.installed import command
@@ -35,6 +36,9 @@ from flora_twin.rig.outcome import Outcome, write_report
 from flora_twin.rig.supervisor import ServiceFailed
 from flora_twin.rig.truth import check_truth
 from flora_twin.rig.virtual_rig import CONTROLLER, DASHBOARD, SERVICES, Seen, VirtualRig
+
+LEAST_FREE_BYTES: Final = 1 << 20
+"""With less, whatever went wrong went wrong for want of room: a photograph alone is a tenth of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +113,7 @@ def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any],
     """
     _check_hours(asked)
     _check_controller(asked)
-    with claimed(asked.out, asked.made_by) as root:
+    with claimed(asked.out, asked.made_by) as root, _full_disk_told(asked.out):
         return _run_in(root, asked, console)
 
 
@@ -217,6 +221,17 @@ def _check_hours(asked: Experiment) -> None:
             raise BadInput(
                 f"fault {planned.name}@{planned.at_h:g}h would never strike: the run ends at {asked.hours:g} h"
             )
+
+
+@contextlib.contextmanager
+def _full_disk_told(out: Path) -> Iterator[None]:
+    """On a full disk services die, fall silent or leave half a line, and each says something else of it."""
+    try:
+        yield
+    except (FloraError, OSError, ValueError) as problem:
+        if shutil.disk_usage(out).free >= LEAST_FREE_BYTES:
+            raise
+        raise DiskFull(f"{out}: no room on the disk; free some space, or choose a folder elsewhere") from problem
 
 
 @contextlib.contextmanager
