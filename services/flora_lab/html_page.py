@@ -8,7 +8,10 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from html import escape
-from typing import Literal
+from pathlib import Path
+from typing import Final, Literal
+
+from flora_lab.outputs import beginning
 
 STYLE = """
 :root { color-scheme: light; }
@@ -27,6 +30,14 @@ th { font-weight: 500; color: #55605a; } td { overflow-wrap: anywhere; font-vari
 """
 
 
+_BEGINNING: Final = '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>'
+
+
+def is_document(path: Path) -> bool:
+    """Whether a file begins as the pages of :func:`document` do."""
+    return beginning(path, len(_BEGINNING)) == _BEGINNING.encode()
+
+
 def document(title: str, body: Sequence[str]) -> str:
     """The whole page.
 
@@ -35,7 +46,7 @@ def document(title: str, body: Sequence[str]) -> str:
         body: pieces of HTML.
     """
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f"{_BEGINNING}{escape(title)}</title>"
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
         + "\n".join(body)
         + "</body></html>\n"

@@ -9,35 +9,6 @@ from flora_common.errors import BadInput
 from flora_common.toml_strict import T, convert, read_toml
 
 
-def must_be_new(path: Path) -> None:
-    """Whether a folder may be made there; BadInput where something is."""
-    if path.exists() or path.is_symlink():
-        raise BadInput(f"{path}: is there already; name another folder with -o")
-
-
-def check_output(
-    path: Path, *, force: bool, needed: frozenset[str], allowed: frozenset[str] = frozenset(), what: str
-) -> None:
-    """Whether such a folder may be written there.
-
-    Args:
-        path: where.
-        force: whether one of the kind that is there is to be replaced.
-        needed, allowed: names of the files that such a folder must have, and may have besides.
-        what: names the kind in messages.
-
-    Raises:
-        BadInput: something is there, and it is not to be, or must not be, replaced.
-    """
-    if not path.exists() and not path.is_symlink():
-        return
-    if not force:
-        raise BadInput(f"{path}: is there already; name another folder with -o, or add --force")
-    names = {entry.name for entry in path.iterdir()} if path.is_dir() and not path.is_symlink() else set()
-    if not needed <= names <= needed | allowed:
-        raise BadInput(f"{path}: is not {what} and is not replaced; name another folder with -o")
-
-
 def read_info(path: Path, into: type[T], wanted: int | str) -> T:
     """The information file of such a folder.
 

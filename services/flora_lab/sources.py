@@ -100,6 +100,10 @@ class Source(Protocol):
         ...
 
     def frames(self) -> Iterator[Frame]: ...
+    def files(self) -> Sequence[Path]:
+        """Those that it is read from, pictures and tables."""
+        ...
+
     def fingerprint(self) -> str:
         """Changes when the input does: over names, sizes and times of change of its files; pictures are not read."""
         ...
@@ -132,9 +136,13 @@ class RunSource:
             yield Frame(i, row.file, row.time_s, PictureFile(self._find(row.file), self.size_px), row.covariates)
 
     def fingerprint(self) -> str:
-        tables = [files.sha256_of_file(self.folder.run_toml), files.sha256_of_file(self.folder.frames_csv)]
-        pictures = [*self.folder.background_pictures(), *(self._find(row.file) for row in self.rows)]
-        return _hash([*tables, *map(_state_of, pictures)])
+        tables = [self.folder.run_toml, self.folder.frames_csv]
+        return _hash([*map(files.sha256_of_file, tables), *map(_state_of, self.files()[len(tables) :])])
+
+    def files(self) -> Sequence[Path]:
+        background = self.folder.background_pictures()
+        pictures = [self._find(row.file) for row in self.rows]
+        return [self.folder.run_toml, self.folder.frames_csv, *background, *pictures]
 
     def _find(self, file: str) -> Path:
         """``file`` is relative to the run folder, or to its ``frames/``."""
@@ -148,24 +156,27 @@ class FolderSource:
     lights: Sequence[Light] | None = None
 
     def __init__(self, path: Path) -> None:
-        self.files = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
-        if not self.files:
+        self._files = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+        if not self._files:
             raise BadInput(f"{path}: holds neither run.toml nor pictures ({', '.join(PICTURE_SUFFIXES)})")
         self.name = str(path)
-        self.count = len(self.files)
+        self.count = len(self._files)
         self.size_px = self._first_size()
 
     def frames(self) -> Iterator[Frame]:
-        for i, file in enumerate(self.files):
+        for i, file in enumerate(self._files):
             name = os.fsencode(file.name).decode("utf-8", "replace")
             yield Frame(i, name, None, PictureFile(file, self.size_px))
 
     def fingerprint(self) -> str:
-        return _hash(map(_state_of, self.files))
+        return _hash(map(_state_of, self._files))
+
+    def files(self) -> Sequence[Path]:
+        return self._files
 
     def _first_size(self) -> tuple[int, int]:
         first: BadPicture | None = None
-        for file in self.files:
+        for file in self._files:
             try:
                 return picture_size(read_picture_bytes(file), where=str(file))
             except BadPicture as problem:
@@ -195,6 +206,9 @@ class FilmSource:
 
     def fingerprint(self) -> str:
         return _hash([_state_of(self.path)])
+
+    def files(self) -> Sequence[Path]:
+        return [self.path]
 
     def _pictures(self) -> Iterator[Picture]:
         # OpenCV and its film reader write complaints of their own to stderr, beside the one line that we owe.

@@ -13,6 +13,7 @@ from typing import Any, Final
 from flora_common.errors import BadInput
 
 TERMINATED_STATUS: Final = 128 + int(signal.SIGTERM)
+_MOST_TOLD: Final = 3
 CHILD_ENDS_WITHIN_S: Final = 120.0
 """Real seconds in which a command that is told to stop has stopped: a virtual rig ends every service of its own."""
 
@@ -56,6 +57,19 @@ def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
             process.communicate()
 
 
+def unfinished(path: Path, what: str, drop: str = "--force") -> BadInput:
+    """The refusal to drop stopped work unasked: hours may have gone into it.
+
+    Args:
+        path: where it is kept.
+        what: names it.
+        drop: the option that drops it.
+    """
+    return BadInput(
+        f"{path}: holds an unfinished {what}; --resume goes on with it, {drop} drops it, another -o leaves it there"
+    )
+
+
 def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any], remedy: str) -> None:
     """Whether what is kept in ``path`` is of the work that is asked for.
 
@@ -65,14 +79,38 @@ def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any],
         remedy: what to do about a difference.
 
     Raises:
-        BadInput: one line that says what differs.
+        BadInput: one line that says what differs, by the name of each setting, three of them at most.
     """
-    for name in sorted({*then, *now}):
-        was, is_now = then.get(name), now.get(name)
-        if was != is_now:
-            raise BadInput(f"{path}: is of other work, {name} was {_short(was)} and is {_short(is_now)} now; {remedy}")
+    was, is_now = _flat(then), _flat(now)
+    other = [name for name in sorted({*was, *is_now}) if was.get(name) != is_now.get(name)]
+    if not other:
+        return
+    told = [_difference(name, str(was.get(name)), str(is_now.get(name))) for name in other[:_MOST_TOLD]]
+    more = f" and {len(other) - _MOST_TOLD} more" if len(other) > _MOST_TOLD else ""
+    raise BadInput(f"{path}: is of other work, {', '.join(told)}{more}; {remedy}")
 
 
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= 40 else f"{text[:12]}…"
+def _flat(value: object, name: str = "") -> dict[str, object]:
+    """Values by the names of all tables and lists that they are in: a whole table does not say what differs in it."""
+    if isinstance(value, Mapping):
+        parts = [(f"{name}.{key}" if name else str(key), inner) for key, inner in value.items()]
+    elif isinstance(value, list | tuple):
+        parts = [(f"{name}[{place}]", inner) for place, inner in enumerate(value)]
+    else:
+        parts = []
+    if not parts:
+        return {name: value}
+    return {path: end for inner_name, inner in parts for path, end in _flat(inner, inner_name).items()}
+
+
+def _difference(name: str, was: str, is_now: str) -> str:
+    """Long values by a piece of them in which they differ."""
+    same = next((at for at, (a, b) in enumerate(zip(was, is_now, strict=False)) if a != b), min(len(was), len(is_now)))
+    return f"{name} was {_short(was, same)} and is {_short(is_now, same)} now"
+
+
+def _short(text: str, same: int) -> str:
+    if len(text) <= 40:
+        return text
+    begin = 0 if same < 12 else same - 4
+    return f"{'…' if begin else ''}{text[begin : begin + 12]}…"

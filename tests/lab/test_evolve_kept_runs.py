@@ -87,6 +87,8 @@ def test_times_of_all_commands_are_added_up(tmp_path: Path) -> None:
         assert kept.worked == Worked(2, 40.0)
     with begun(tmp_path / "e", resume=True) as kept:
         assert kept.worked == Worked(3, 40.0)
+    with begun(tmp_path / "e", force=True, resume=True) as kept:  # what is to be replaced is the finished one
+        assert kept.worked == Worked(3, 40.0)
     with begun(tmp_path / "e", force=True) as kept:
         assert kept.worked == Worked(1, 10.0)
         assert {path.name for path in (tmp_path / "e").iterdir()} == {LOCK_FILE, WORK_FILE}

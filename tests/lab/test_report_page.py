@@ -75,6 +75,35 @@ def test_the_page_stands_alone_and_is_the_same_each_time(tmp_path: Path) -> None
     assert "100.0 %" in pages[0]
 
 
+def test_a_page_is_replaced_only_when_asked_for_and_what_is_no_page_never(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12)])
+    page, strip, mine = tmp_path / "r.html", tmp_path / "s.PNG", tmp_path / "mine.html"
+    command = ["report", str(run.path), "-o", str(page), "--strip", str(strip)]
+    assert main(command) == 0
+    before = page.read_bytes()
+    assert main([*command, "--title", "other"]) == 2
+    assert "r.html: is there already; name another file with -o, or add --force" in capsys.readouterr().err
+    assert page.read_bytes() == before
+    assert main([*command, "--title", "other", "--force"]) == 0
+    assert b"<h1>other</h1>" in page.read_bytes()
+    mine.write_text("<!doctype html>mine")
+    for more, said in (
+        (["-o", str(mine)], "mine.html: is there already, is not the page of a run and is not replaced"),
+        (["--strip", str(run.path / "frames" / "000000.jpg")], "the strip is written as PNG"),
+        (["-o", str(strip), "--strip", str(strip)], "is not the page of a run"),
+        (["-o", str(run.path)], "run: is a folder; name a file with -o"),
+        (["--strip", str(mine / "strip.png")], f"cannot be made, {mine} is no folder; name another place with --strip"),
+    ):
+        capsys.readouterr()
+        assert main([*command, "--force", *more]) == 2
+        told = capsys.readouterr().err
+        assert said in told
+        assert told.count("\n") == 1
+    assert mine.read_text() == "<!doctype html>mine"
+
+
 def test_numbers_for_scripts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run", [(0, 7), (-3, 12)], obstacle=False, target=False)
     assert main(["report", str(run.path), "-o", str(tmp_path / "r.html"), "--json"]) == 0

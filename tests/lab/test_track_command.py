@@ -128,12 +128,18 @@ def test_json_and_quiet_are_for_scripts(tmp_path: Path, capfd: pytest.CaptureFix
 def test_existing_output_is_kept_unless_forced(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run")
     out = tmp_path / "track.csv"
-    out.write_text("mine\n")
+    assert main(["track", str(run), "-o", str(out), "-q"]) == 0
+    before = out.read_bytes()
     assert main(["track", str(run), "-o", str(out)]) == 2
-    assert "is there already" in capfd.readouterr().err
-    assert out.read_text() == "mine\n"
-    assert main(["track", str(run), "-o", str(out), "--force", "-q"]) == 0
-    assert len(read_track(out).time_s) == 11
+    assert "is there already; name another file with -o, or add --force" in capfd.readouterr().err
+    assert out.read_bytes() == before
+    assert main(["track", str(run), "-o", str(out), "--force", "-q", "--frames", "1:"]) == 0
+    assert len(read_track(out).time_s) == 10
+    for mine in (tmp_path / "notes.txt", run / "frames.csv"):
+        mine.write_text("mine\n")
+        assert main(["track", str(run), "-o", str(mine), "--force"]) == 2
+        assert f"{mine}: is there already, is not a track and is not replaced" in capfd.readouterr().err
+        assert mine.read_text() == "mine\n"
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "note").write_text("mine\n")
     assert main(["track", str(run), "-o", str(tmp_path / "c.csv"), "--overlays", str(tmp_path / "full")]) == 2

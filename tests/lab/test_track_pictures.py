@@ -76,12 +76,45 @@ def test_what_is_there_is_kept_unless_forced(tmp_path: Path, capfd: pytest.Captu
     run = make_run(tmp_path / "run", 6)
     film = tmp_path / "seen.mp4"
     film.write_text("mine")
+    sheet = tmp_path / "sheet.png"
+    sheet.write_bytes(b"mine")
     command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "-q", "--film", str(film)]
     assert main(command) == 2
     assert "seen.mp4: is there already" in capfd.readouterr().err
+    assert main([*command, "--force"]) == 2
+    assert "seen.mp4: is there already, is not a film and is not replaced" in capfd.readouterr().err
     assert film.read_text() == "mine"
-    assert main([*command, "--force"]) == 0
-    assert len(frames_of(film)) == 6
+    film.unlink()
+    assert main([*command, "--contact", str(sheet), "--force"]) == 2
+    assert "sheet.png: is there already, is not a picture" in capfd.readouterr().err
+    for more in ([], ["--force"]):
+        (tmp_path / "t.csv").unlink(missing_ok=True)
+        assert main([*command, *more]) == 0
+        assert len(frames_of(film)) == 6
+
+
+def test_no_picture_takes_the_place_of_one_of_the_input(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 6)
+    photograph = run / "frames" / "0003.jpg"
+    before = photograph.read_bytes()
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--contact", str(photograph), "--force"]
+    assert main(command) == 2
+    assert "0003.jpg: belongs to the input, which stays as it is" in capfd.readouterr().err
+    assert photograph.read_bytes() == before
+
+
+@pytest.mark.parametrize("option", ["--overlays", "--contact", "--film", "-o"])
+def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 6)
+    monkeypatch.setattr("flora_lab.track.command.open_source", None)
+    (tmp_path / "note").write_text("mine")
+    suffix = {"--contact": ".png", "--film": ".mp4"}.get(option, "")
+    place = tmp_path / "note" / f"seen{suffix}"
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), option, str(place)]) == 2
+    said = capfd.readouterr().err
+    assert f"{place}: cannot be made, {tmp_path / 'note'} is no folder; name another place with {option}" in said
 
 
 def test_pictures_that_cannot_be_made_leave_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -127,34 +127,68 @@ def interrupted_after(frames: int, monkeypatch: pytest.MonkeyPatch, command: lis
 
 
 @pytest.mark.parametrize(
-    "change", [["--widest-stem-cm", "0.8"], ["--no-resume"], ["--method", "paper"], ["--frames", "1:"]], ids=" ".join
+    ("change", "said"),
+    [
+        (["--widest-stem-cm", "0.8"], "settings.widest_stem_cm was 0.6 and is 0.8 now"),
+        (["--method", "paper"], "method was path and is paper now"),
+        (["--frames", "1:"], "first frame was 0 and is 1 now"),
+        (["--interval-s", "60"], "interval_s was 300.0 and is 60.0 now"),
+    ],
 )
-def test_other_work_begins_anew(
-    change: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+def test_other_work_drops_nothing_unasked(
+    change: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     command = ["track", str(make_run(tmp_path / "run", 8)), "-o", str(tmp_path / "t.csv")]
     interrupted_after(4, monkeypatch, command)
-    assert main([*command, *change]) == 0
+    part = tmp_path / ".t.csv.part"
+    before = part.read_bytes()
+    capfd.readouterr()
+    for more in ([], ["--force"]):
+        assert main([*command, *change, *more]) == 2
+        told = capfd.readouterr().err
+        assert said in told
+        assert "; --no-resume drops it, another -o leaves it there" in told
+        assert told.count("\n") == 1
+        assert part.read_bytes() == before
+    assert main([*command, *change, "--no-resume"]) == 0
     assert "going on" not in capfd.readouterr().err
+    assert not part.exists()
 
 
-def test_other_pictures_or_software_begin_anew(
+def test_a_part_that_is_none_is_told_and_kept(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    command = ["track", str(make_run(tmp_path / "run", 8)), "-o", str(tmp_path / "t.csv")]
+    part = tmp_path / ".t.csv.part"
+    for content, said in (
+        (b"mine\n1\n", "is damaged"),
+        (b"[]\n1\n", "is damaged"),
+        (b'{"format": 1, "work": "ab"}\n{}\n', "is of other work"),
+    ):
+        part.write_bytes(content)
+        assert main(command) == 2
+        assert f".t.csv.part: {said}" in capfd.readouterr().err
+        assert part.read_bytes() == content
+    part.write_bytes(b'{"format": 2, "wo')  # killed before anything was found
+    assert main([*command, "-q"]) == 0
+
+
+def test_other_pictures_or_software_are_other_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     run = make_run(tmp_path / "run", 8)
     command = ["track", str(run), "-o", str(tmp_path / "t.csv")]
     interrupted_after(4, monkeypatch, command)
     os.utime(run / "frames" / "0002.jpg", ns=(1, 1))
-    interrupted_after(5, monkeypatch, command)
-    assert "going on" not in capfd.readouterr().err
+    capfd.readouterr()
+    assert main(command) == 2
+    assert "is of other work, input was " in capfd.readouterr().err
+    interrupted_after(5, monkeypatch, [*command, "--no-resume"])
     with monkeypatch.context() as patch:
         patch.setattr(part_file.cv2, "__version__", "3.0")
-        interrupted_after(6, monkeypatch, command)
-    assert "going on" not in capfd.readouterr().err
-    with monkeypatch.context() as patch:
-        patch.setattr(part_file.cv2, "__version__", "3.0")
-        assert main(command) == 0
-    assert "going on after 6 of 8 frames" in capfd.readouterr().err
+        capfd.readouterr()
+        assert main(command) == 2
+        assert "is of other work, software was " in capfd.readouterr().err
+    assert main(command) == 0
+    assert "going on after 5 of 8 frames" in capfd.readouterr().err
 
 
 def test_two_at_one_output_are_kept_apart(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -205,7 +205,7 @@ def test_rounds_are_told_and_a_checkpoint_of_other_runs_is_refused(short: list[M
     more = Told()
     train(runs, replace(options, epochs=2, resume=True), more)
     assert (more.begun, more.epochs) == ([(2, 1)], [2])
-    with pytest.raises(BadInput, match="is of other work, tracks was"):
+    with pytest.raises(BadInput, match=r"is of other work, tracks\[1\] was"):
         train(runs[:1], replace(options, resume=True), Told())
 
 

@@ -169,14 +169,38 @@ def test_a_training_may_go_on_for_longer_than_was_meant(
     assert same_folders(out, whole)
 
 
-def test_without_resume_it_begins_anew_and_with_nothing_to_resume_too(
+def test_what_was_learned_is_dropped_only_when_that_is_asked_for(
     data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "sim"
     interrupted_after(4, monkeypatch, [*command(data, out), "--seed", "9"])
-    assert main(command(data, out)) == 0
+    before = checkpoint_path(out).read_bytes()
+    capsys.readouterr()
+    assert main(command(data, out)) == 2
+    said = capsys.readouterr().err
+    assert f"{checkpoint_path(out)}: holds an unfinished training; --resume goes on with it, --force drops it" in said
+    assert main(command(data / "nowhere", out, "--force")) == 2
+    assert checkpoint_path(out).read_bytes() == before
+    capsys.readouterr()
+    assert main(command(data, out, "--force")) == 0
     assert "going on" not in capsys.readouterr().err
     assert same_folders(out, whole)
+
+
+def test_to_replace_a_simulator_and_to_go_on_go_together(
+    data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "sim"
+    assert main([*command(data, out), "--seed", "9", "--quiet"]) == 0
+    interrupted_after(4, monkeypatch, command(data, out, "--force"))
+    assert main(command(data, out, "--force", "--resume")) == 0
+    assert "going on after epoch 4" in capsys.readouterr().err
+    assert same_folders(out, whole)
+
+
+def test_with_nothing_to_resume_it_begins(
+    data: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = tmp_path / "other"
     assert main(command(data, other, "--resume")) == 0
     assert "no checkpoint; starting from the beginning" in capsys.readouterr().err
@@ -207,7 +231,7 @@ def test_a_checkpoint_of_other_settings_is_refused(
     assert main([*command(data, out, "--resume"), *change]) == 2
     err = capsys.readouterr().err
     assert said in err
-    assert "leave --resume out to begin anew" in err
+    assert "give --force in place of --resume to begin anew" in err
     assert err.count("\n") == 1
     assert checkpoint_path(out).read_bytes() == before
     assert not out.exists()
@@ -228,7 +252,7 @@ def test_a_checkpoint_of_other_data_is_refused(
 
 
 ARRAYS = {"theta": np.arange(5, dtype=np.float32), "random": np.array([1, 2**63], dtype=np.uint64)}
-WORK = {"seed": 1, "data": "ab" * 32, "split": "rows", "shape": (3, 4)}
+WORK = {"seed": 1, "data": "ab" * 32, "split": "rows", "shape": (3, 4), "settings": {"rate": 0.1, "grow": {"cm": 2}}}
 
 
 def test_what_is_kept_comes_back_to_the_last_bit(tmp_path: Path) -> None:
@@ -291,7 +315,7 @@ def test_a_file_that_is_none_is_told(tmp_path: Path, change: Callable[[bytes], b
     path.write_bytes(change(path.read_bytes()))
     with pytest.raises(BadInput, match=said) as told:
         Checkpoint(path, WORK).load()
-    assert "leave --resume out" in str(told.value)
+    assert "--force in place of --resume" in str(told.value)
     assert str(path) in str(told.value)
 
 
@@ -304,6 +328,14 @@ def test_what_differs_is_named(tmp_path: Path) -> None:
         ({**WORK, "data": "cd" * 32}, "data was abababababab… and is cdcdcdcdcdcd… now"),
         ({**WORK, "batch": 30}, "batch was None and is 30 now"),
         ({k: v for k, v in WORK.items() if k != "split"}, "split was rows and is None now"),
+        ({**WORK, "settings": {"rate": 0.2, "grow": {"cm": 2}}}, "work, settings.rate was 0.1 and is 0.2 now; "),
+        ({**WORK, "settings": {"rate": 0.1, "grow": {"cm": 3}}}, "work, settings.grow.cm was 2 and is 3 now; "),
+        ({**WORK, "shape": (3, 5)}, r"work, shape\[1\] was 4 and is 5 now; "),
+        ({**WORK, "data": "ab" * 31 + "cd"}, "data was …ababab… and is …ababcd… now"),
+        (
+            {**WORK, "seed": 2, "split": "plant", "shape": (), "settings": {}},
+            "seed was .*, settings.grow.cm was .* and ",
+        ),
     ):
         with pytest.raises(BadInput, match=said):
             Checkpoint(path, work).load()

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
-from flora_lab import made_folders
+from flora_lab import outputs
 from flora_lab.dataset.build import Built
 from flora_lab.dataset.pairs import COORDINATES, Pairs
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe
@@ -116,7 +116,7 @@ def check_output(path: Path, *, force: bool) -> None:
     Raises:
         BadInput: something is there, and it is not to be, or must not be, replaced.
     """
-    made_folders.check_output(path, force=force, needed=FILES, what="a training set")
+    outputs.check_folder(path, force=force, needed=FILES, what="a training set")
 
 
 def write_dataset(

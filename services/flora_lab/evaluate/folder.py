@@ -28,6 +28,7 @@ from flora_common.toml_strict import to_toml
 from flora_lab.evaluate.plan import Plan
 from flora_lab.evaluate.trial import Trial
 from flora_lab.made_folders import read_info
+from flora_lab.outputs import is_there
 from flora_lab.stopped_work import check_same_work
 
 INFO_FILE: Final = "evaluation.toml"
@@ -57,7 +58,7 @@ def check_folder(path: Path, plan: Plan) -> None:
     Raises:
         BadInput: something else is there, or another evaluation.
     """
-    if not path.exists() and not path.is_symlink():
+    if not is_there(path):
         return
     if path.is_dir() and {entry.name for entry in path.iterdir()} <= {LOCK_FILE}:
         return

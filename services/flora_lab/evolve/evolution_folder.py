@@ -28,7 +28,7 @@ import numpy.typing as npt
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_common.tracks import read_track
-from flora_lab import made_folders
+from flora_lab import made_folders, outputs
 from flora_lab.evolve.episode import Reason
 from flora_lab.evolve.individuals import Judge
 from flora_lab.evolve.task import Scenario, Task
@@ -225,7 +225,7 @@ def check_output(path: Path, *, force: bool) -> None:
     Raises:
         BadInput: something is there, and it is not to be, or must not be, replaced.
     """
-    made_folders.check_output(path, force=force, needed=NAMES, allowed=ALSO, what="an evolution")
+    outputs.check_folder(path, force=force, needed=NAMES, allowed=ALSO, what="an evolution")
 
 
 def episode_file(place: int, scenario: Scenario) -> str:

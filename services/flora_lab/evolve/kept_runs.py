@@ -23,13 +23,13 @@ from flora_common.errors import BadInput
 from flora_common.lock import AlreadyHeld, hold
 from flora_lab.evolve import one_run
 from flora_lab.evolve.one_run import Clock, RunState
-from flora_lab.stopped_work import check_same_work
+from flora_lab.stopped_work import check_same_work, unfinished
 
 WORK_FILE: Final = "work.json"
 TIME_FILE: Final = "time.json"
 LOCK_FILE: Final = ".lock"
 UNFINISHED: Final = files.TEMPORARY_SUFFIX
-_REMEDY: Final = "add --force to begin anew"
+_REMEDY: Final = "give --force in place of --resume to begin anew, or another -o"
 
 
 def kept_path(output: Path) -> Path:
@@ -71,7 +71,7 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
 
         Args:
             resume: go on with what is there.
-            force: drop what is there.
+            force: drop what is there, unless it is gone on with: then what is to be replaced is the finished one.
 
         Raises:
             BadInput: there is something and neither is asked for, or it is of other work, or another process works in
@@ -81,14 +81,12 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
             files.make_folder(self.path)
             self._lock = self._held()
             kept = [entry for entry in self.path.iterdir() if entry.name != LOCK_FILE and entry.suffix != UNFINISHED]
-            if force:
+            if kept and not resume:
+                if not force:
+                    raise unfinished(self.path, "evolution")
                 for entry in kept:
                     entry.unlink()
             elif kept:
-                if not resume:
-                    raise BadInput(
-                        f"{self.path}: holds an unfinished evolution; --resume goes on with it, --force drops it"
-                    )
                 check_same_work(self.path, self._read_work(), self._work, _REMEDY)
                 self._before = self._read_time()
                 return

@@ -12,6 +12,7 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
 from flora_lab.made_folders import read_info
+from flora_lab.outputs import is_there
 
 FORMAT: Final = "flora-paper-1"
 STEPS_FILE: Final = "steps.toml"
@@ -97,7 +98,7 @@ def check_folder(path: Path) -> None:
     Raises:
         BadInput: something else is there.
     """
-    if not path.exists() and not path.is_symlink():
+    if not is_there(path):
         return
     if not path.is_dir():
         raise BadInput(f"{path}: is no folder; name a new one with -o")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -13,9 +13,12 @@ from flora_common.errors import BadInput
 from flora_common.files import write_bytes, write_text
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import RunFolder
+from flora_lab import outputs
 from flora_lab.report import strip
-from flora_lab.report.page import page
+from flora_lab.report.page import is_page, page
 from flora_lab.report.summary import RunSummary, summarise
+
+STRIP_SUFFIX: Final = ".png"
 
 
 def register(app: typer.Typer) -> None:
@@ -27,7 +30,10 @@ def report(
     run: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder with frames.csv and track.csv.")],
     *,
     output: Annotated[Path, typer.Option("-o", "--output", help="The page to write.")] = Path("report.html"),
-    strip_png: Annotated[Path | None, typer.Option("--strip", help="Also write the picture strip, as PNG.")] = None,
+    strip_png: Annotated[
+        Path | None, typer.Option("--strip", metavar="FILE.png", help="Also write the picture strip, as PNG.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing page and strip.")] = False,
     title: Annotated[str, typer.Option(help="Heading of the page.")] = "",
     stop_height_cm: Annotated[
         float, typer.Option("--stop-height", min=0.1, max=500.0, help="The run was over with the tip this high, in cm.")
@@ -42,6 +48,7 @@ def report(
     # matplotlib takes a third of a second to import, which the other subcommands shall not pay
     from flora_lab.report import figures  # noqa: PLC0415
 
+    _check_outputs(output, strip_png, force=force)
     folder = RunFolder(run)
     notes = [_note(text) for text in note or []]
     summary = summarise(folder, stop_height_cm=stop_height_cm, longest_h=longest_h)
@@ -79,6 +86,17 @@ def numbers(summary: RunSummary) -> dict[str, Any]:
         "hours": summary.hours,
         "lamp_changes": summary.switches,
     }
+
+
+def _check_outputs(page_html: Path, strip_png: Path | None, *, force: bool) -> None:
+    outputs.check_file(page_html, force=force, is_ours=is_page, what="the page of a run")
+    if strip_png is None:
+        return
+    if strip_png.suffix.lower() != STRIP_SUFFIX:
+        raise BadInput(f"--strip {strip_png}: the strip is written as PNG; name a file that ends in {STRIP_SUFFIX}")
+    if strip_png.absolute() == page_html.absolute():
+        raise BadInput("-o and --strip must name different files")
+    outputs.check_file(strip_png, force=force, is_ours=outputs.is_png, what="a PNG picture", option="--strip")
 
 
 def _note(text: str) -> tuple[str, str]:

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
 
 from flora_lab import html_page
 from flora_lab.report.summary import RunSummary
+
+_SHAPES: Final = html_page.section("Shape through time")
+
+
+def is_page(path: Path) -> bool:
+    """Whether a file is a page of :func:`page`."""
+    return html_page.is_document(path) and _SHAPES.encode() in path.read_bytes()
 
 
 def page(
@@ -39,7 +48,7 @@ def page(
         html_page.section("Tip and lamps"),
         figures["tip"],
         *([html_page.section("Fitness"), figures["fitness"]] if figures["fitness"] else []),
-        html_page.section("Shape through time"),
+        _SHAPES,
         figures["shapes"],
         html_page.section("All figures"),
         html_page.pairs([*_rows(summary), *notes]),

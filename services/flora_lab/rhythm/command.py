@@ -11,7 +11,7 @@ import typer
 
 from flora_common.errors import BadInput
 from flora_lab.late import modules_of
-from flora_lab.made_folders import must_be_new
+from flora_lab.outputs import must_be_new
 
 LONGEST_STEP_S: Final = 86_400.0
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from flora_common.errors import BadInput
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
-from flora_lab.made_folders import must_be_new
+from flora_lab.outputs import must_be_new
 from flora_lab.run_tracks import load_runs
 
 EVERY_H: Final = 6.0

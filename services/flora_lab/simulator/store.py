@@ -21,7 +21,7 @@ import safetensors.numpy
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
-from flora_lab import made_folders
+from flora_lab import outputs
 from flora_lab.made_folders import read_info, read_named
 
 FORMAT: Final = 1
@@ -169,7 +169,7 @@ def check_output(path: Path, *, force: bool) -> None:
     Raises:
         BadInput: something is there, and it is not to be, or must not be, replaced.
     """
-    made_folders.check_output(path, force=force, needed=FILES, allowed=FIGURES, what="a simulator")
+    outputs.check_folder(path, force=force, needed=FILES, allowed=FIGURES, what="a simulator")
 
 
 def write_simulator(

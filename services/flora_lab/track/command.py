@@ -16,6 +16,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.settings import PathSettings
+from flora_lab import outputs
 from flora_lab.lights import parse_rule
 from flora_lab.sources import FilmSource, FolderSource, RunSource, open_source
 from flora_lab.track import learning, options, screen
@@ -27,7 +28,7 @@ from flora_lab.track.part_file import PartFile
 from flora_lab.track.pictures import Pictures, Wanted
 from flora_lab.track.pool import Pool
 from flora_lab.track.readings import Span, Summary
-from flora_lab.track.tables import METHOD_COLUMNS, track_text
+from flora_lab.track.tables import METHOD_COLUMNS, is_track, track_text
 
 
 def register(app: typer.Typer) -> None:
@@ -74,17 +75,15 @@ def track(
 
     The same command, given again after it was killed, goes on where it was.
     """
-    if output.exists() and not force:
-        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
-    if output.is_dir():
-        raise BadInput(f"{output}: is a folder; name a file with -o")
+    outputs.check_file(output, force=force, is_ours=is_track, what="a track")
     wanted = Wanted(overlays, contact, film, every)
-    wanted.check(force=force)
+    wanted.check(output, force=force)
     if not (math.isfinite(interval_s) and interval_s > 0):
         raise BadInput(f"--interval-s: {interval_s:g} is not a positive number of seconds")
     span = options.span_of(frames)
     rule = parse_rule(light_from)
     source = open_source(input_path)
+    wanted.check_apart(source)
     count = len(span.indices(source.count))
     if count == 0:
         raise BadInput(f"--frames: no frame between {frames}; {source.name} has {source.count}, counted from 0")
@@ -110,9 +109,14 @@ def track(
     if path:
         _no_clash(source)
     work = {
-        "input": [source.name, source.fingerprint()],
-        "settings": [method.value, msgspec.to_builtins(settings), msgspec.to_builtins(camera)],
-        "frames": [span.first, span.end, light_from, interval_s],
+        "input": source.fingerprint(),
+        "method": method.value,
+        "settings": msgspec.to_builtins(settings),
+        "camera": msgspec.to_builtins(camera),
+        "first frame": span.first,
+        "frames before": span.end,
+        "lights": light_from,
+        "interval_s": interval_s,
     }
     silent = quiet or as_json
     with (

@@ -3,7 +3,7 @@
 ``.track.csv.part`` beside ``track.csv`` holds a first line that says what the work is, then one line per frame: its
 reading, and what the method remembers after it. A line is handed to the kernel as soon as its frame is done, so a
 process that is killed loses at most the frame that it was at. Who starts the same work again goes on from there, and
-comes to the very same track: every number is kept to its last digit.
+comes to the very same track: every number is kept to its last digit. Other work is refused while readings are kept.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import json
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, NoReturn
 
 import cv2
 import msgspec
@@ -26,9 +26,11 @@ import flora_common.vision
 import flora_lab
 from flora_common import files
 from flora_common.errors import BadInput, DiskFull
+from flora_lab.stopped_work import check_same_work
 from flora_lab.track.readings import Reading, StoredReading
 
-FORMAT: Final = 1
+FORMAT: Final = 2
+_REMEDY: Final = "--no-resume drops it, another -o leaves it there"
 
 
 class PartFile:
@@ -46,14 +48,15 @@ class PartFile:
         memory: what the method remembered after the last of them.
 
     Raises:
-        BadInput: another process is at the same output.
+        BadInput: another process is at the same output, or readings of other work are kept there.
     """
 
     def __init__(self, output: Path, work: dict[str, Any], indices: range, *, fresh: bool = False) -> None:
         self.path = output.parent / f".{output.name}.part"
         self.readings: list[Reading] = []
         self.memory: object = None
-        self._first_line = json.dumps({"format": FORMAT, "work": work_hash(work)}).encode() + b"\n"
+        self._work = {**work, "software": software_hash()}
+        self._first_line = json.dumps({"format": FORMAT, "work": self._work}).encode() + b"\n"
         files.make_folder(output.parent)
         self._file = _hold(self.path)
         try:
@@ -94,7 +97,10 @@ class PartFile:
 
     def _read(self, indices: range) -> int:
         """Take in what there is; returns where the good part ends. A torn or strange line ends it."""
-        if self._file.readline() != self._first_line:
+        first = self._file.readline()
+        if first != self._first_line:
+            if self._file.read(1):
+                self._refuse(first)
             return 0
         decoder = msgspec.json.Decoder(StoredReading)
         good = self._file.tell()
@@ -110,11 +116,21 @@ class PartFile:
             good += len(line)
         return good
 
+    def _refuse(self, first: bytes) -> NoReturn:
+        """Readings are kept, and this is what the line before them says."""
+        try:
+            then = json.loads(first)["work"]
+        except (ValueError, LookupError, TypeError) as problem:
+            raise BadInput(f"{self.path}: is damaged; {_REMEDY}") from problem
+        check_same_work(
+            self.path, then if isinstance(then, dict) else {}, json.loads(self._first_line)["work"], _REMEDY
+        )
+        raise BadInput(f"{self.path}: is of another format; {_REMEDY}")
 
-def work_hash(work: dict[str, Any]) -> str:
-    """Hash of a piece of work and of the software that would do it."""
-    digest = hashlib.sha256(json.dumps(work, sort_keys=True).encode())
-    digest.update(f"{importlib.metadata.version('flora')} {cv2.__version__} {np.__version__}".encode())
+
+def software_hash() -> str:
+    """Hash of the software that looks for stems."""
+    digest = hashlib.sha256(f"{importlib.metadata.version('flora')} {cv2.__version__} {np.__version__}".encode())
     # the version says too little while the method is being worked on
     for package in (flora_common.vision, flora_lab):
         for source in sorted(Path(next(iter(package.__path__))).rglob("*.py")):

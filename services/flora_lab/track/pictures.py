@@ -19,6 +19,7 @@ from flora_common import files
 from flora_common.errors import BadInput, StoreError
 from flora_common.vision import draw
 from flora_common.vision.picture import Picture
+from flora_lab import outputs
 from flora_lab.sources import Source
 from flora_lab.track.drawing import DrawReadings, DrawTask, View, plant_view, whole
 from flora_lab.track.pool import Pool
@@ -63,27 +64,41 @@ class Wanted:
     def paths(self) -> list[Path]:
         return [path for path in (self.overlays, self.contact, self.film) if path is not None]
 
-    def check(self, *, force: bool) -> None:
-        """Before any work is done.
+    def check(self, track: Path, *, force: bool) -> None:
+        """Before any work is done; ``track`` is the other output.
 
         Raises:
             BadInput: something is in the way, or a file name that says nothing known.
         """
         folder = self.overlays
-        if folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        is_there = folder is not None and outputs.is_there(folder, "--overlays")
+        if folder is not None and is_there and (not folder.is_dir() or any(folder.iterdir())):
             raise BadInput(f"{folder}: is there already and not an empty folder; name another for the overlays")
-        if len(set(self.paths)) < len(self.paths):
-            raise BadInput("--overlays, --contact and --film must name different places")
-        for path, option, suffixes in (
-            (self.contact, "--contact", SHEET_SUFFIXES),
-            (self.film, "--film", tuple(FILM_CODES)),
+        places = [path.absolute() for path in (track, *self.paths)]
+        if len(set(places)) < len(places):
+            raise BadInput("-o, --overlays, --contact and --film must name different places")
+        for path, option, suffixes, is_ours, what in (
+            (self.contact, "--contact", SHEET_SUFFIXES, outputs.is_picture, "a picture"),
+            (self.film, "--film", tuple(FILM_CODES), outputs.is_film, "a film"),
         ):
             if path is None:
                 continue
             if path.suffix.lower() not in suffixes:
                 raise BadInput(f"{option}: {path} must end with {' or '.join(suffixes)}")
-            if path.is_dir() or (path.exists() and not force):
-                raise BadInput(f"{path}: is there already; name another file with {option}, or add --force")
+            outputs.check_file(path, force=force, is_ours=is_ours, what=what, option=option)
+
+    def check_apart(self, source: Source) -> None:
+        """Whether nothing of the input would be replaced.
+
+        Raises:
+            BadInput: a contact sheet or film that is one of the input's own files.
+        """
+        there = {path.resolve(): path for path in self.paths if path.exists()}
+        for file in source.files() if there else ():
+            if file.resolve() in there:
+                raise BadInput(
+                    f"{there[file.resolve()]}: belongs to the input, which stays as it is; name another file"
+                )
 
 
 class Pictures:

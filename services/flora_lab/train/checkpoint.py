@@ -100,6 +100,17 @@ class Checkpoint:
         self._pending = None
         self._written_s = self._clock()
 
+    def begin(self, *, resume: bool) -> Saved | None:
+        """What to go on from, or None: then what was kept before is dropped.
+
+        Raises:
+            BadInput: see :meth:`load`.
+        """
+        if resume:
+            return self.load()
+        self.path.unlink(missing_ok=True)
+        return None
+
     def load(self) -> Saved | None:
         """What was kept, or None where there is no checkpoint.
 
@@ -121,4 +132,4 @@ class Checkpoint:
         return Saved(arrays, state)
 
 
-_REMEDY = "leave --resume out to begin anew"
+_REMEDY: Final = "give --force in place of --resume to begin anew, or another -o"

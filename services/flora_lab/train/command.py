@@ -14,7 +14,7 @@ from flora_common.suggest import did_you_mean
 from flora_lab.dataset.store import INFO_FILE as DATASET_INFO_FILE
 from flora_lab.run_tracks import load_runs
 from flora_lab.simulator.store import SimulatorFile, check_output, write_simulator
-from flora_lab.stopped_work import sigterm_ends
+from flora_lab.stopped_work import sigterm_ends, unfinished
 from flora_lab.train.checkpoint import checkpoint_path
 from flora_lab.train.progress import shown
 from flora_lab.train.recipes import DEFAULT_RECIPE, RECIPES, Progress, Trained, TrainOptions
@@ -50,7 +50,7 @@ def train(
         SplitBy | None, typer.Option(help="Hold whole plants out, or shuffle rows as the paper did.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where the same command was stopped.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing simulator.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there, unfinished or not.")] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Also write TensorBoard's event files.")
     ] = None,
@@ -71,6 +71,8 @@ def train(
         raise BadInput(f"--recipe: no recipe `{recipe[:40]}`{did_you_mean(recipe, RECIPES)}")
     check_output(output, force=force)
     checkpoint = checkpoint_path(output)
+    if checkpoint.exists() and not (resume or force):
+        raise unfinished(checkpoint, "training")
     options = TrainOptions(
         seed=seed,
         checkpoint=checkpoint,

@@ -55,7 +55,7 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     }
     checkpoint = Checkpoint(options.checkpoint, work)
     found, done = first_guess(known), 0
-    saved = checkpoint.load() if options.resume else None
+    saved = checkpoint.begin(resume=options.resume)
     if saved is not None:
         found, done = _restored(saved.arrays, saved.state)
     progress.begin(rounds, done)

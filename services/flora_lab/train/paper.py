@@ -196,7 +196,7 @@ def _fit(
     training, stopping = Training.of(start), EarlyStopping(settings["patience"])
     best, steps = training.theta.copy(), 0
     losses: tuple[list[float], list[float]] = ([], [])
-    saved = checkpoint.load() if options.resume else None
+    saved = checkpoint.begin(resume=options.resume)
     if saved is not None:
         training = Training(*(saved.arrays[name] for name in ("theta", "first", "second")))
         best, steps = saved.arrays["best"], saved.state["steps"]

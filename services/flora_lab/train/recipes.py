@@ -28,7 +28,7 @@ class TrainOptions:
     Attributes:
         seed: of everything that is drawn.
         checkpoint: the file to keep the training in while it lasts.
-        resume: go on from that file, if it is there.
+        resume: go on from that file, if it is there; else it is dropped.
         epochs: at most so many.
         patience: epochs without a better validation loss after which to stop.
         batch: rows or sequences per step.

@@ -147,7 +147,7 @@ class SequenceTraining:
 
     def run(self, checkpoint: Checkpoint, progress: Progress, *, resume: bool) -> Curve:
         """Train to the early stop; the net then holds each member's best weights."""
-        saved = checkpoint.load() if resume else None
+        saved = checkpoint.begin(resume=resume)
         if saved is not None:
             self._restore(saved.arrays, saved.state)
         progress.begin(self.settings.epochs, self.stopping.epoch)

@@ -51,7 +51,7 @@ def write_report(
     done = subprocess.run(
         [
             *(command("flora-lab"), "report", str(layout.run.path), "--json"),
-            *("-o", str(out / "report.html"), "--strip", str(out / "strip.png")),
+            *("-o", str(out / "report.html"), "--strip", str(out / "strip.png"), "--force"),
             *("--title", "A virtual bean, steered round an obstacle", "--stop-height", f"{stop_height_cm:g}"),
             *("--hours", f"{hours:g}"),
             *(part for name, value in notes.items() for part in ("--note", f"{name}={value}")),
