@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -41,6 +41,13 @@ Px = Annotated[float, msgspec.Meta(ge=-20_000.0, le=20_000.0)]
 
 Points = Iterable[Iterable[float]]
 """Points (x, y) in cm: an array of shape (n, 2), or tuples."""
+
+MOST_CM: Final = 500.0
+"""No point of a grow box is farther from the anchor; a coordinate beyond it is a wrong unit."""
+MOST_TIME_S: Final = 1e12
+LONGEST_S: Final = 366 * 86_400.0
+MOST_NUMBER: Final = 1e30
+"""Squares of what is larger are no numbers any more."""
 
 FRAMES_HEADER: Final = "file,time_s,light"
 TRACK_HEADER: Final = "time_s,light," + ",".join(f"x{i},y{i}" for i in range(1, STEM_POINTS + 1))
@@ -141,16 +148,16 @@ class RunFolder:
     def read_frames(self) -> list[FrameRow]:
         """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights."""
         rows: list[FrameRow] = []
+        times: list[float] = []
         for line, row in read_csv(self.frames_csv, FRAMES_HEADER.split(",")):
             where = f"{self.frames_csv} line {line}"
             file = row.pop("file")
             path = Path(file)
             if not file or path.is_absolute() or ".." in path.parts:
                 raise BadRunFolder(f"{where}: file `{file}` must be a relative path inside the run folder")
-            time_s = finite_number(row.pop("time_s"), "time_s", where)
+            time_s = later_time(row.pop("time_s"), times, where)
+            times.append(time_s)
             light = known_light(row.pop("light"), where)
-            if rows and time_s <= rows[-1].time_s:
-                raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {rows[-1].time_s:g} in the line before")
             rows.append(FrameRow(file, time_s, light, {k: finite_number(v, k, where) for k, v in row.items()}))
         return rows
 
@@ -174,7 +181,7 @@ class RunFolder:
     def _track_columns(self) -> list[str] | None:
         """The further columns of ``track.csv``; None where there is no whole first line."""
         try:
-            with self.track_csv.open() as file:
+            with self.track_csv.open(encoding="utf-8-sig") as file:
                 first = file.readline()
         except (OSError, UnicodeDecodeError):
             return None
@@ -206,7 +213,7 @@ def read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, s
         BadRunFolder: unreadable, not CSV, a required column is missing, a row of another length.
     """
     try:
-        text = path.read_bytes().decode()
+        text = path.read_bytes().decode("utf-8-sig")
     except OSError as problem:
         raise BadRunFolder(f"{path}: cannot be read ({problem.strerror})") from problem
     except UnicodeDecodeError as problem:
@@ -231,15 +238,42 @@ def read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, s
         yield number, dict(zip(header, row, strict=True))
 
 
-def finite_number(text: str, name: str, where: str) -> float:
-    """A finite number, or :class:`BadRunFolder` with column and line."""
+def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, unit: str = "") -> float:
+    """A finite number from ``-most`` to ``most``, or :class:`BadRunFolder` with column and line.
+
+    Args:
+        text: of the field.
+        name: of the column.
+        where: file and line.
+        most: what nobody can have measured lies beyond it.
+        unit: that the column is in, for the message.
+    """
     try:
         value = float(text)
     except ValueError:
         raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a number") from None
     if not math.isfinite(value):
         raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a finite number")
+    if abs(value) > most:
+        units = f"; {name} is in {unit}" if unit else ""
+        raise BadRunFolder(f"{where}: {name} is {value:g}, beyond {most:g}{units}")
     return value
+
+
+def later_time(text: str, before: Sequence[float], where: str) -> float:
+    """The time of a row, or :class:`BadRunFolder` with the line.
+
+    Args:
+        text: of the field.
+        before: times of the rows before it; it must be after the last, and within :data:`LONGEST_S` of the first.
+        where: file and line.
+    """
+    time_s = finite_number(text, "time_s", where, MOST_TIME_S, "seconds")
+    if before and time_s <= before[-1]:
+        raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {before[-1]:g} in the line before")
+    if before and time_s - before[0] > LONGEST_S:
+        raise BadRunFolder(f"{where}: time_s {time_s:g} is more than a year after the first, {before[0]:g}")
+    return time_s
 
 
 def known_light(text: str, where: str) -> Light:

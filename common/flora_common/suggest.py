@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Final
+
+_MOST_NAMES: Final = 40
+_LONGEST: Final = 60
 
 
 def did_you_mean(wrong: str, known: Iterable[str]) -> str:
@@ -11,5 +15,11 @@ def did_you_mean(wrong: str, known: Iterable[str]) -> str:
     names = sorted(known)
     near = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
     if near:
-        return f"; did you mean `{near[0]}`?"
-    return f"; known: {', '.join(names)}" if names else ""
+        return f"; did you mean `{clipped(near[0])}`?"
+    more = ", …" if len(names) > _MOST_NAMES else ""
+    return f"; known: {', '.join(map(clipped, names[:_MOST_NAMES]))}{more}" if names else ""
+
+
+def clipped(text: str, longest: int = _LONGEST) -> str:
+    """Text from a file or a person for a message: a line of a megabyte says no more than its beginning."""
+    return text if len(text) <= longest else f"{text[:longest]}…"

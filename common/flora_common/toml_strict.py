@@ -15,7 +15,7 @@ import msgspec
 import tomli_w
 
 from flora_common.errors import BadInput
-from flora_common.suggest import did_you_mean
+from flora_common.suggest import clipped, did_you_mean
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -27,7 +27,7 @@ def read_toml(path: Path, error: type[BadInput]) -> dict[str, Any]:
         error: the file cannot be read or is not TOML; the message names file, line and column.
     """
     try:
-        return tomllib.loads(path.read_bytes().decode())
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem
     except UnicodeDecodeError as problem:
@@ -55,7 +55,7 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         path = at.group(1) if at and at.group(1) else ""
         key = f" `{path}`" if path else ""
         hint = _known_values(into, path, message)
-        raise error(f"{where}:{key} {message[0].lower()}{message[1:]}{hint}") from problem
+        raise error(f"{where}:{key} {message[0].lower()}{clipped(message[1:], 200)}{hint}") from problem
 
 
 def _known_values(into: type[msgspec.Struct], path: str, message: str) -> str:
@@ -87,7 +87,7 @@ def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str
     structs = _structs_of(into)
     for key, value in data.items():
         if key not in structs:
-            raise error(f"{where}: unknown key `{key}`{did_you_mean(key, structs)}")
+            raise error(f"{where}: unknown key `{clipped(key)}`{did_you_mean(key, structs)}")
         inner = structs[key]
         if inner is None:
             continue

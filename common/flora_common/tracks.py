@@ -9,7 +9,7 @@ import numpy as np
 
 from flora_common.errors import BadRunFolder
 from flora_common.geometry import FloatArray
-from flora_common.runs import TRACK_HEADER, Light, finite_number, known_light, read_csv
+from flora_common.runs import MOST_CM, TRACK_HEADER, Light, finite_number, known_light, later_time, read_csv
 from flora_common.shapes import STEM_POINTS
 
 
@@ -34,7 +34,8 @@ def read_track(path: Path) -> Track:
     """A track file, checked.
 
     Raises:
-        BadRunFolder: missing columns, numbers that are not finite, times that do not increase, fewer than one row.
+        BadRunFolder: missing columns, numbers that are none or that nobody can have measured, times that do not
+            increase, fewer than one row.
     """
     times: list[float] = []
     lights: list[Light] = []
@@ -43,12 +44,9 @@ def read_track(path: Path) -> Track:
     names = TRACK_HEADER.split(",")
     for line, row in read_csv(path, names):
         where = f"{path} line {line}"
-        time_s = finite_number(row.pop("time_s"), "time_s", where)
-        if times and time_s <= times[-1]:
-            raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {times[-1]:g} in the line before")
-        times.append(time_s)
+        times.append(later_time(row.pop("time_s"), times, where))
         lights.append(known_light(row.pop("light"), where))
-        points.append([finite_number(row.pop(name), name, where) for name in names[2:]])
+        points.append([finite_number(row.pop(name), name, where, MOST_CM, "cm") for name in names[2:]])
         for name, value in row.items():
             covariates.setdefault(name, []).append(finite_number(value, name, where))
     if not times:

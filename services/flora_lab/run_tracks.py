@@ -15,8 +15,8 @@ from flora_common.runs import LampsSection, RunFolder
 from flora_common.tracks import Track, read_track
 
 ANCHOR_TOLERANCE_CM: Final = 0.01
-LONGEST_CM: Final = 500.0
-"""No stem in a grow box is longer; a coordinate beyond it is a wrong unit."""
+FARTHEST_CM: Final = 60.0
+"""A bean grows to some 40 cm in the box; what is farther off is in a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class RunTrack:
         """Whether the points can be a stem's.
 
         Raises:
-            BadInput: an anchor that is not (0, 0), or a coordinate that no stem in a grow box has.
+            BadInput: an anchor that is not (0, 0), or one that is no stem's in the grow box.
         """
         points = self.track.points_cm
         off = np.abs(points[:, 0]).max(axis=1) > ANCHOR_TOLERANCE_CM
@@ -55,10 +55,11 @@ class RunTrack:
             row = int(np.argmax(off))
             x, y = points[row, 0]
             raise BadInput(f"{self.where(row)}: point 1 is the anchor and must be (0, 0), not ({x:g}, {y:g})")
-        far = np.abs(points).max(axis=(1, 2)) > LONGEST_CM
+        far = np.hypot(*np.moveaxis(points, -1, 0)).max(axis=1) > FARTHEST_CM
         if far.any():
             raise BadInput(
-                f"{self.where(int(np.argmax(far)))}: a coordinate beyond {LONGEST_CM:g} cm; points are in cm"
+                f"{self.where(int(np.argmax(far)))}: a point is more than {FARTHEST_CM:g} cm from the anchor, where no "
+                "bean of the box comes; points are in cm, not in mm or px"
             )
 
 

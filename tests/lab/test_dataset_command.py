@@ -201,7 +201,13 @@ def line_changed(number: int, change: Callable[[list[str]], list[str]]) -> str:
         (line_changed(7, lambda v: [v[0], "both", *v[2:]]), "row 7 (time_s 1800): light is `both`"),
         (line_changed(7, lambda v: ["1600.0", *v[1:]]), "row 7 (time_s 1600): 100 s after the row before"),
         (line_changed(7, lambda v: [*v[:2], "0.5", *v[3:]]), "row 7 (time_s 1800): point 1 is the anchor"),
-        (line_changed(7, lambda v: [*v[:-1], "1790.0"]), "row 7 (time_s 1800): a coordinate beyond 500 cm"),
+        (line_changed(7, lambda v: [*v[:-1], "1790.0"]), "line 8: y10 is 1790, beyond 500; y10 is in cm"),
+        (
+            line_changed(7, lambda v: [*v[:-1], "179.0"]),
+            "row 7 (time_s 1800): a point is more than 60 cm from the anchor",
+        ),
+        (line_changed(7, lambda v: ["1e300", *v[1:]]), "line 8: time_s is 1e+300, beyond 1e+12; time_s is in seconds"),
+        (line_changed(7, lambda v: ["1e9", *v[1:]]), "line 8: time_s 1e+09 is more than a year after the first, 0"),
         (track_text(step_s=600.0), "row 2 (time_s 600): 600 s after the row before; steps of 300 s are wanted"),
         (track_text(step_s=60.0), "row 2 (time_s 60): 60 s after the row before"),
         (track_text(count=1), "no two stems one step apart"),
@@ -268,7 +274,16 @@ def test_wrong_numbers_and_names_are_told(tmp_path: Path, capsys: pytest.Capture
     track, out = str(small(tmp_path)), tmp_path / "data"
     assert "did you mean `mirror`" in refused(capsys, [track, "-o", str(out), "--without", "miror"])
     assert "made of pairs" in refused(capsys, [track, "-o", str(out), "--without", "pairs"])
-    assert "`noise.theta_3`" in refused(capsys, [track, "-o", str(out), "--theta-3", "0"])
+    for option, number, said in (
+        ("--theta-3", "0", ">= 1"),
+        ("--cell-cm", "1e-300", ">= 0.001"),
+        ("--unit-cm", "inf", "<= 1000000.0"),
+        ("--interval-s", "nan", "> 0.0"),
+        ("--generic-hours", "1e300", "<= 1000.0"),
+        ("--noise-sequences", "101", "<= 100"),
+    ):
+        told = refused(capsys, [track, "-o", str(out), option, number])
+        assert f"{option}: expected a number {said}" in told
     assert "`noise.omega`" in refused(capsys, [track, "-o", str(out), "--omega", "nan"])
     assert "`unit_cm`" in refused(capsys, [track, "-o", str(out), "--unit-cm", "-1"])
     assert "no area is dense enough" in refused(capsys, [track, "-o", str(out), "--min-tips", "1000"])

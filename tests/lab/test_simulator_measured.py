@@ -136,11 +136,20 @@ def test_tracks_that_tell_no_movement_are_refused(times_s: list[float], said: st
 def test_points_that_no_stem_has_are_refused_with_their_row() -> None:
     off, inches = a_run([0, 300, 600]), a_run([0, 300, 600])
     off.track.points_cm[1, 0, 0] = 0.5
-    inches.track.points_cm[2, -1, 1] = 5000.0
+    inches.track.points_cm[2, -1, 1] = 72.0
     with pytest.raises(BadInput, match=r"run\.csv row 2 \(time_s 300\): point 1 is the anchor"):
         in_steps(off)
-    with pytest.raises(BadInput, match=r"run\.csv row 3 \(time_s 600\): a coordinate beyond 500 cm"):
+    with pytest.raises(BadInput, match=r"run\.csv row 3 \(time_s 600\): a point is more than 60 cm from the anchor"):
         in_steps(inches)
+
+
+def test_stems_without_length_are_none_and_no_run_begins_with_one() -> None:
+    run = a_run([0, 300, 600, 900, 1200])
+    run.track.points_cm[[2, 4]] = 0.0
+    assert rows_of(in_steps(run)) == [0, 1, None, 3]
+    run.track.points_cm[0] = 0.0
+    with pytest.raises(BadInput, match=r"run\.csv row 1 \(time_s 0\): the first stem is shorter than 1 mm"):
+        in_steps(run)
 
 
 @settings(max_examples=60, deadline=None)

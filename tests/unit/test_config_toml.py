@@ -140,3 +140,12 @@ def test_none_is_left_out_of_toml() -> None:
 def test_did_you_mean(wrong: str, clause: str) -> None:
     assert did_you_mean(wrong, ["rate", "interval_s"]) == clause
     assert did_you_mean(wrong, []) == ""
+
+
+def test_a_line_without_end_is_not_told_whole(tmp_path: Path) -> None:
+    assert did_you_mean("zzz", ["x" * 5000]) == f"; known: {'x' * 60}…"
+    assert len(did_you_mean("zzz", [f"x{i}" for i in range(5000)])) < 300
+    (tmp_path / "a.toml").write_text(f"{'x' * 5000} = 1\n")
+    with pytest.raises(BadRunFolder, match=r"unknown key `x{60}…`; known: ") as told:
+        convert(read_toml(tmp_path / "a.toml", BadRunFolder), OwnSection, where="a.toml", error=BadRunFolder)
+    assert len(str(told.value)) < 200

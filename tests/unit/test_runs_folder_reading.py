@@ -123,6 +123,13 @@ def test_no_folder(tmp_path: Path) -> None:
         (b"file,time_s,light\n\xff.jpg,0,left\n", "frames.csv: not UTF-8 text (byte 18)"),
         (b'file,time_s,light\n"a.jpg,0,left\n', "not a CSV file"),
         (b"file,time_s,light,co2\na.jpg,0,left,inf\n", "line 2: co2 is `inf`, not a finite number"),
+        (b"file,time_s,light,co2\na.jpg,0,left,-1e300\n", "line 2: co2 is -1e+300, beyond 1e+30"),
+        (b"file,time_s,light\na.jpg,1e300,left\n", "line 2: time_s is 1e+300, beyond 1e+12; time_s is in seconds"),
+        (
+            b"file,time_s,light\na.jpg,0,left\nb.jpg,4e7,left\n",
+            "line 3: time_s 4e+07 is more than a year after the first",
+        ),
+        (b"x" * 5000 + b"\n", "no column `file`; known: " + "x" * 60 + "…"),
     ],
 )
 def test_bad_frames_table(tmp_path: Path, text: bytes, said: str) -> None:
@@ -131,6 +138,19 @@ def test_bad_frames_table(tmp_path: Path, text: bytes, said: str) -> None:
         RunFolder(tmp_path).read_frames()
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < len(str(tmp_path)) + 200
+
+
+def test_the_mark_that_some_programs_write_before_text_is_no_part_of_it(tmp_path: Path) -> None:
+    run = make(tmp_path)
+    run.append_frame("frames/000001.jpg", 0.0, "left")
+    run.append_track(0.0, "left", POINTS, {"quality": 0.5})
+    for path in (run.run_toml, run.frames_csv, run.track_csv):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert run.read_run_file().rig == "box1"
+    assert run.read_frames()[0].file == "frames/000001.jpg"
+    run.append_track(300.0, "left", POINTS, {"quality": 0.25, "other": 1.0})
+    assert read_track(run.track_csv).covariates["quality"].tolist() == [0.5, 0.25]
 
 
 @pytest.mark.parametrize(
@@ -141,6 +161,10 @@ def test_bad_frames_table(tmp_path: Path, text: bytes, said: str) -> None:
         (f"{FRAMES_HEADER}\n", "no column `x1`"),
         (f"{TRACK_HEADER}\n0,left,{ROW.replace('13.5000', 'tip')}\n", "line 2: y10 is `tip`, not a number"),
         (f"{TRACK_HEADER}\n0,left,{ROW.replace('13.5000', '-inf')}\n", "line 2: y10 is `-inf`, not a finite number"),
+        (
+            f"{TRACK_HEADER}\n0,left,{ROW.replace('13.5000', '1e20')}\n",
+            "line 2: y10 is 1e+20, beyond 500; y10 is in cm",
+        ),
         (f"{TRACK_HEADER}\n300,left,{ROW}\n0,left,{ROW}\n", "line 3: time_s 0 is not after 300"),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 import typer
@@ -24,10 +24,26 @@ from flora_lab.dataset.recipe import (
     steps_named,
 )
 from flora_lab.dataset.store import Dataset, check_output, write_dataset
+from flora_lab.option_values import refusal
 from flora_lab.run_tracks import load_runs
 
 _R, _S, _N, _G = Recipe(), SparseSettings(), NoiseSettings(), GenericSettings()
 _NUMBERS = "Numbers of the steps"
+_OPTIONS: Final = {
+    "interval_s": "--interval-s",
+    "unit_cm": "--unit-cm",
+    "duplicate_cm": "--duplicate-cm",
+    "jump_times": "--jump-times",
+    "sparse.cell_cm": "--cell-cm",
+    "sparse.min_runs": "--min-runs",
+    "sparse.min_tips": "--min-tips",
+    "noise.theta_3": "--theta-3",
+    "noise.omega": "--omega",
+    "noise.sequences": "--noise-sequences",
+    "generic.share": "--generic-share",
+    "generic.window_h": "--generic-hours",
+}
+"""By the place in the recipe."""
 
 
 class NoiseMeanName(enum.StrEnum):
@@ -151,12 +167,11 @@ def counts_text(built: Built) -> str:
 
 
 def _recipe(**values: Any) -> Recipe:
-    """The options as a recipe; what is out of range is told by its name there."""
+    """The options as a recipe."""
     try:
         return msgspec.convert(values, Recipe)
     except msgspec.ValidationError as problem:
-        text, _, place = str(problem).partition(" - at `$.")
-        raise BadInput(f"recipe `{place.rstrip('`')}`: {text[0].lower()}{text[1:]}") from problem
+        raise refusal(problem, _OPTIONS, "recipe") from problem
 
 
 def _steps_text(*, as_json: bool) -> str:

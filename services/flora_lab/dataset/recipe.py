@@ -49,6 +49,7 @@ STEPS: Final = (
 STEP_NAMES: Final = tuple(step.name for step in STEPS)
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+Length = Annotated[float, msgspec.Meta(ge=0.001, le=1e6)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 
@@ -59,7 +60,7 @@ NoiseMean = Literal["offset", "zero", "printed"]
 class SparseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[recipe.sparse]``: the rule in the place of the paper's removal by hand."""
 
-    cell_cm: Positive = 2.0
+    cell_cm: Length = 2.0
     min_runs: Count = 2
     min_tips: Count = 10
 
@@ -101,7 +102,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     without: tuple[str, ...] = ()
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
-    unit_cm: Positive = 65.0
+    unit_cm: Length = 65.0
     interval_s: Positive = 300.0
     skip_other_lights: bool = False
     duplicate_cm: NotNegative = 0.0

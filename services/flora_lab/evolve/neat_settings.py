@@ -173,7 +173,7 @@ def settings_named(name: str | None, *, population: int | None = None) -> NeatSe
 def _parsed(path: Path) -> dict[str, dict[str, str]]:
     parser = configparser.ConfigParser(interpolation=None)
     try:
-        parser.read_string(path.read_text(encoding="utf-8"))
+        parser.read_string(path.read_text(encoding="utf-8-sig"))
     except OSError as problem:
         raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
     except UnicodeDecodeError as problem:

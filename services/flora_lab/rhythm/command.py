@@ -5,15 +5,13 @@ from __future__ import annotations
 import enum
 import json
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
-from flora_common.errors import BadInput
 from flora_lab.late import modules_of
+from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, within
 from flora_lab.outputs import must_be_new
-
-LONGEST_STEP_S: Final = 86_400.0
 
 
 class Along(enum.StrEnum):
@@ -37,9 +35,14 @@ def rhythm(
     ],
     *,
     step_s: Annotated[
-        float | None, typer.Option("--step-s", help="Seconds between frames, for tables of frames.")
+        float | None,
+        typer.Option(
+            "--step-s", callback=within(LEAST_S, LONGEST_STEP_S), help="Seconds between frames, for tables of frames."
+        ),
     ] = None,
-    px_per_cm: Annotated[float | None, typer.Option("--px-per-cm", help="Scale, for tables in px.")] = None,
+    px_per_cm: Annotated[
+        float | None, typer.Option("--px-per-cm", callback=within(0.01, 1e5), help="Scale, for tables in px.")
+    ] = None,
     along: Annotated[Along, typer.Option(help="The coordinate to search.")] = Along.X,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder to write: rhythm.json and rhythm.png.")
@@ -54,9 +57,6 @@ def rhythm(
     """
     if output is not None:
         must_be_new(output)
-    for value, name, most in ((step_s, "--step-s", LONGEST_STEP_S), (px_per_cm, "--px-per-cm", 1e5)):
-        if value is not None and not 0.0 < value <= most:
-            raise BadInput(f"{name}: {value:g} does not lie in (0, {most:g}]")
     read = [_module("tip_track").read_tip(path, step_s=step_s, px_per_cm=px_per_cm) for path in tracks]
     judgement, report = _module("judgement"), _module("report")
     judged = [judgement.judge(track, along=along.value, seed=seed) for track in read]

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput
-from flora_common.runs import finite_number, read_csv
+from flora_common.runs import finite_number, later_time, read_csv
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
 from flora_lab.run_tracks import RunTrack, load_run
 
@@ -35,6 +35,9 @@ PLAIN: Final = (
 )
 MOST_SAMPLES: Final = 2000
 """More are averaged in blocks: what counts are cycles, not samples."""
+MOST_COORDINATE: Final = 20_000.0
+"""Of a tip, in px of the largest picture; in mm and cm there is less."""
+MOST_FRAMES: Final = 1e9
 WIDEST_GAP_SHARE: Final = 0.1
 LEAST_MEASURED_SHARE: Final = 0.7
 _NEAR_STEPS: Final = 0.75
@@ -119,7 +122,7 @@ def _header(path: Path) -> list[str] | None:
     if not path.exists():
         raise BadInput(f"{path}: no such track")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             return next(csv.reader(file), [])
     except OSError as problem:
         raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
@@ -154,15 +157,23 @@ def _numbers(path: Path, names: tuple[str, ...]) -> tuple[Array, Array]:
     tips: list[tuple[float, float]] = []
     for line, row in read_csv(path, list(names)):
         where = f"{path} line {line}"
-        now = finite_number(row[names[0]], names[0], where)
-        if at and now <= at[-1]:
-            raise BadInput(f"{where}: {names[0]} {now:g} is not after {at[-1]:g} in the line before")
-        at.append(now)
+        at.append(
+            later_time(row[names[0]], at, where) if names[0] == "time_s" else _frame(row[names[0]], names[0], at, where)
+        )
         if not row[names[1]].strip() and not row[names[2]].strip():
             tips.append((math.nan, math.nan))
             continue
-        tips.append((finite_number(row[names[1]], names[1], where), finite_number(row[names[2]], names[2], where)))
+        x, y = (finite_number(row[name], name, where, MOST_COORDINATE) for name in names[1:])
+        tips.append((x, y))
     return np.array(at), np.array(tips).reshape(-1, 2)
+
+
+def _frame(text: str, name: str, before: list[float], where: str) -> float:
+    """The number of a frame, after that of the row before."""
+    frame = finite_number(text, name, where, MOST_FRAMES)
+    if before and frame <= before[-1]:
+        raise BadInput(f"{where}: {name} {frame:g} is not after {before[-1]:g} in the line before")
+    return frame
 
 
 def _even(

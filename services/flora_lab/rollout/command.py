@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from flora_common.errors import BadInput
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
+from flora_lab.option_values import within
 from flora_lab.outputs import must_be_new
 from flora_lab.run_tracks import load_runs
 
@@ -41,7 +42,9 @@ def rollout(
     against: Annotated[
         list[Path] | None, typer.Option(metavar="SIM", help="Another simulator to compare with; repeatable.")
     ] = None,
-    watch_h: Annotated[float, typer.Option(help="Hours of each run that simulators may watch first.")] = 12.0,
+    watch_h: Annotated[
+        float, typer.Option(callback=within(0.01, LONGEST_H), help="Hours of each run that simulators may watch first.")
+    ] = 12.0,
     horizons: Annotated[str, typer.Option(help="Hours after which errors are told.")] = "1,6,24",
     time_scale: Annotated[
         bool, typer.Option("--time-scale", help="Also find how many times too fast each simulator is.")
@@ -59,8 +62,6 @@ def rollout(
     if output is not None:
         must_be_new(output)
     horizons_h = _hours_list(horizons)
-    if not (math.isfinite(watch_h) and 0.0 < watch_h <= LONGEST_H):
-        raise BadInput(f"--watch-h: {watch_h:g} h does not lie in (0, {LONGEST_H:g}]")
     tracks = load_runs(runs)
     work, report = _module("work"), _module("report")
     simulators = work.load_all([simulator, *(against or [])])

@@ -12,11 +12,14 @@ from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
+from flora_common.stem_range import lengths_cm
 from flora_lab.run_tracks import RunTrack
 
 STEP_S: Final = 300.0
 NEAR_SHARE: Final = 0.35
 """How far from its place in the grid a row may lie, as a share of the step, to be taken for it."""
+LEAST_CM: Final = 0.1
+"""What is shorter is no stem to start from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +96,11 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
 
     ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; where that is
     another lamp than before the gap, it is taken to have changed in the middle. Rows that lie near no place of the grid
-    are left out.
+    are left out, and rows whose points are all in one place.
 
     Raises:
-        BadInput: fewer than two stems, points that no stem has, or no two rows ``step_s`` apart.
+        BadInput: fewer than two stems, points that no stem has, a first stem without length, or no two rows ``step_s``
+            apart.
     """
     run.check_points()
     track = run.track
@@ -104,7 +108,10 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         raise BadInput(f"{run.file}: holds one stem; at least two are needed")
     place = (track.time_s - track.time_s[0]) / step_s
     index = np.rint(place).astype(np.int64)
-    rows = np.nonzero(np.abs(place - index) <= NEAR_SHARE)[0]
+    is_stem = lengths_cm(track.points_cm) >= LEAST_CM
+    if not is_stem[0]:
+        raise BadInput(f"{run.where(0)}: the first stem is shorter than {10 * LEAST_CM:g} mm; leave such rows out")
+    rows = np.nonzero((np.abs(place - index) <= NEAR_SHARE) & is_stem)[0]
     at, first = np.unique(index[rows], return_index=True)
     rows = rows[first]
     if not (np.diff(at) == 1).any():

@@ -9,13 +9,12 @@ import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_common.shapes import STEM_POINTS
+from flora_lab.simulator.measured import LEAST_CM
 from flora_lab.simulator.rod import CAPACITY, points_lane
 
 Array = npt.NDArray[Any]
 
 SEGMENT_CM: Final = 0.35
-LEAST_CM: Final = 0.1
-"""What is shorter is no stem to start from."""
 _FINE: Final = 16
 """Places per piece of the spline."""
 

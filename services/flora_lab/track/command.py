@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -78,8 +77,6 @@ def track(
     outputs.check_file(output, force=force, is_ours=is_track, what="a track")
     wanted = Wanted(overlays, contact, film, every)
     wanted.check(output, force=force)
-    if not (math.isfinite(interval_s) and interval_s > 0):
-        raise BadInput(f"--interval-s: {interval_s:g} is not a positive number of seconds")
     span = options.span_of(frames)
     rule = parse_rule(light_from)
     source = open_source(input_path)

@@ -17,6 +17,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import CameraSection
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.settings import PathSettings
+from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, refusal, within
 from flora_lab.sources import FilmSource, FolderSource, RunSource, Source
 from flora_lab.track.readings import Span
 
@@ -65,7 +66,10 @@ ScaleOption = Annotated[float | None, typer.Option(help="Scale of the full pictu
 WindowOption = Annotated[
     str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Look inside this part of the picture only, px.")
 ]
-IntervalOption = Annotated[float, typer.Option(help="Seconds between frames, where no frames.csv says it.")]
+IntervalOption = Annotated[
+    float,
+    typer.Option(callback=within(LEAST_S, LONGEST_STEP_S), help="Seconds between frames, where no frames.csv says it."),
+]
 LightOption = Annotated[
     str,
     typer.Option(
@@ -211,6 +215,9 @@ OPTION_NAMES: Final = {
     "theta_1": "--theta-1",
     "theta_2_px": "--theta-2-px",
     "smallest_component_px": "--smallest-component",
+    "window_px": "--window",
+    "anchor_px": "--anchor",
+    "px_per_cm": "--px-per-cm",
 }
 """By the name of the setting."""
 
@@ -229,15 +236,17 @@ def camera_of(
             f"{source.name}: has no run.toml; say where the stem leaves the soil (--anchor X,Y) and the scale "
             "(--px-per-cm N)"
         )
-    place = numbers(anchor, 2, "--anchor") if anchor is not None else known.anchor_px if known else None
-    scale = px_per_cm if px_per_cm is not None else known.px_per_cm if known else None
     width, height = source.size_px
+    place = numbers(anchor, 2, "--anchor") if anchor is not None else known.anchor_px if known else None
+    if anchor is not None and place is not None and not (0 <= place[0] <= width and 0 <= place[1] <= height):
+        raise BadInput(f"--anchor: {anchor} lies outside of the picture of {width}x{height} px")
+    scale = px_per_cm if px_per_cm is not None else known.px_per_cm if known else None
     try:
         return msgspec.convert(
             {"anchor_px": place, "px_per_cm": scale, "width_px": width, "height_px": height}, CameraSection
         )
     except msgspec.ValidationError as problem:
-        raise BadInput(f"--anchor or --px-per-cm: {problem}") from problem
+        raise refusal(problem, OPTION_NAMES, f"{source.name}: the pictures' size") from problem
 
 
 def span_of(text: str) -> Span:
@@ -270,11 +279,7 @@ def numbers(text: str, count: int, option: str) -> list[float]:
 
 
 def _converted(values: dict[str, Any], kind: type[Any]) -> Any:
-    # one at a time, so that the line can name the option
-    for name, value in values.items():
-        try:
-            msgspec.convert({name: value}, kind)
-        except msgspec.ValidationError as problem:
-            said = re.sub(r" - at `\$\.?\w*(\[\.\.\.\])?`", "", str(problem))
-            raise BadInput(f"{OPTION_NAMES.get(name, '--window')}: {said}") from problem
-    return msgspec.convert(values, kind)
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as problem:
+        raise refusal(problem, OPTION_NAMES, "--window") from problem
