@@ -28,6 +28,21 @@ def within(least: float, most: float) -> Callable[[typer.CallbackParam, float | 
     return check
 
 
+def must_not(option: str, given: object, why: str) -> None:
+    """Refuse an option that changes nothing: who gives it believes that it does.
+
+    Args:
+        option: by its name.
+        given: its value; None or False where it was not given.
+        why: it has no effect.
+
+    Raises:
+        BadInput: it was given.
+    """
+    if given is not None and given is not False:
+        raise BadInput(f"{option}: has no effect, {why}; leave it out")
+
+
 def refusal(problem: msgspec.ValidationError, options: Mapping[str, str], otherwise: str) -> BadInput:
     """What is wrong with options that are checked as a struct, told by the option.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from typing import Any, Final
 from flora_common.errors import BadInput
 
 TERMINATED_STATUS: Final = 128 + int(signal.SIGTERM)
+WITHIN: Final = "FLORA_WITHIN"
+"""In the environment of a command that another one started as a step of its work: what a person has typed."""
 _MOST_TOLD: Final = 3
 CHILD_ENDS_WITHIN_S: Final = 120.0
 """Real seconds in which a command that is told to stop has stopped: a virtual rig ends every service of its own."""
@@ -55,6 +58,12 @@ def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
+
+
+def going_on() -> str:
+    """How a person goes on with what was stopped."""
+    within = os.environ.get(WITHIN)
+    return f"the same `{within}` goes on" if within else "the same command with --resume goes on"
 
 
 def unfinished(path: Path, what: str, drop: str = "--force") -> BadInput:

@@ -395,6 +395,14 @@ def test_two_do_not_work_in_one_folder(
 # What is refused
 
 
+def test_options_of_the_virtual_rig_are_refused_without_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for option in (("--jobs", "2"), ("--keep-photographs",)):
+        said = refused(capsys, TIP_ONLY, "--on", "nowhere.simulator", "-o", tmp_path / "out", *option)
+        assert f"{option[0]}: has no effect, it is of runs --on twin; leave it out" in said
+    said = refused(capsys, TIP_ONLY, "--on", "twin", "--keep-photographs")
+    assert "--keep-photographs: has no effect, runs are kept with -o only" in said
+
+
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     capsys.readouterr()
     assert main(["evaluate", *map(str, arguments)]) == 2

@@ -262,6 +262,8 @@ def test_an_evolution_is_replaced_only_with_force(simulator: Path, task: Path, e
         (["--neat", "nowhere.cfg"], "--neat nowhere.cfg: neither flora's own nor a file"),
         (["--runs", "0"], "--runs"),
         (["--judge", "best"], "--judge"),
+        (["--judge", "worst"], "--judge: has no effect, no plants are drawn without --individuals"),
+        (["--individuals-seed", "1"], "--individuals-seed: has no effect"),
     ],
 )
 def test_bad_options_are_told_in_one_line(

@@ -54,6 +54,15 @@ def test_what_a_command_prints_as_its_result_is_not_shown(held: int, capfd: pyte
     assert (told.out, told.err) == ("", "a bar\n")
 
 
+def test_a_command_that_is_stopped_names_what_a_person_has_typed(held: int, capfd: pytest.CaptureFixture[str]) -> None:
+    python(
+        "import sys; from flora_lab.stopped_work import going_on; print(going_on(), file=sys.stderr)",
+        held,
+        is_silent=False,
+    )
+    assert capfd.readouterr().err == "the same `flora-lab paper` goes on\n"
+
+
 def test_after_ctrl_c_the_command_is_ended_and_its_end_is_waited_for(held: int, tmp_path: Path) -> None:
     started, ended = tmp_path / "started", tmp_path / "ended"
     code = (

@@ -132,7 +132,7 @@ def interrupted_after(frames: int, monkeypatch: pytest.MonkeyPatch, command: lis
         (["--widest-stem-cm", "0.8"], "settings.widest_stem_cm was 0.6 and is 0.8 now"),
         (["--method", "paper"], "method was path and is paper now"),
         (["--frames", "1:"], "first frame was 0 and is 1 now"),
-        (["--interval-s", "60"], "interval_s was 300.0 and is 60.0 now"),
+        (["--px-per-cm", "11"], "camera.px_per_cm was 10.0 and is 11.0 now"),
     ],
 )
 def test_other_work_drops_nothing_unasked(

@@ -265,6 +265,24 @@ def test_boxes_with_lamps_in_different_places_are_refused(
     assert f"{paths[1]}/track.csv: its lamps hang elsewhere than those of {paths[0]}/track.csv" in said
 
 
+@pytest.mark.parametrize("option", [("--split", "plant"), ("--batch", "7"), ("--patience", "3")])
+def test_options_that_it_has_no_use_for_are_refused(
+    short: list[MeasuredRun], tmp_path: Path, capsys: pytest.CaptureFixture[str], option: tuple[str, str]
+) -> None:
+    said = told_by(capsys, command([written(tmp_path, short[0])], tmp_path / "sim", *option), tmp_path / "sim")
+    assert f"{option[0]}: has no effect, --recipe mechanistic has no use for it; leave it out" in said
+
+
+def test_a_track_in_millimetres_or_pixels_is_refused(
+    short: list[MeasuredRun], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for scale in (10.0, 18.4):
+        path = written(tmp_path, replace(short[0], points_cm=scale * short[0].points_cm))
+        said = told_by(capsys, command([path], tmp_path / "sim"), tmp_path / "sim")
+        assert "is more than 60 cm from the anchor" in said
+        assert "points are in cm, not in mm or px" in said
+
+
 def test_a_run_that_is_too_short_is_refused(
     short: list[MeasuredRun], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

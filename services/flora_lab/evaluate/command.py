@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from flora_common.errors import BadInput, FloraError
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
+from flora_lab.option_values import must_not
 from flora_lab.stopped_work import sigterm_ends
 
 TWIN: Final = "twin"
@@ -45,7 +46,7 @@ def evaluate(
     on: Annotated[
         list[str], typer.Option(metavar="SIM|twin", help="A simulator folder, or the virtual rig; repeatable.")
     ],
-    task: Annotated[str, typer.Option(help="left, middle, reality, or a task file.")] = TASK,
+    task: Annotated[str, typer.Option(help="left, middle, reality, round, or a task file.")] = TASK,
     scenario: Annotated[str | None, typer.Option(help="Only this one of the task.")] = None,
     repeat: Annotated[
         int, typer.Option(min=0, max=MOST_PLANTS, help="Plants per controller and scenario, at each place.")
@@ -76,6 +77,11 @@ def evaluate(
     same -o goes on.
     """
     _check_places(on, repeat)
+    if TWIN not in on:
+        for option, value in (("--jobs", jobs), ("--keep-photographs", keep_photographs)):
+            must_not(option, value, "it is of runs --on twin")
+    if output is None:
+        must_not("--keep-photographs", keep_photographs, "runs are kept with -o only")
     work, plans, folders = _module("work"), _module("plan"), _module("folder")
     whole_task = modules_of("flora_lab.evolve")("task_file").task_named(task)
     plan = plans.Plan(plans.load_controllers(controllers), plans.only(whole_task, scenario), repeat, seed)

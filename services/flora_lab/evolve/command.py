@@ -13,7 +13,8 @@ import typer
 
 from flora_common.errors import BadInput
 from flora_lab.late import modules_of
-from flora_lab.stopped_work import sigterm_ends
+from flora_lab.option_values import must_not
+from flora_lab.stopped_work import going_on, sigterm_ends
 
 RUNS, GENERATIONS, POPULATION = 20, 1000, 150
 """Wahby et al. 2018: 20 runs of 1000 generations."""
@@ -51,8 +52,12 @@ def evolve(
     individuals: Annotated[
         int, typer.Option(min=0, max=MOST_INDIVIDUALS, help="Drawn plants that each is tried on; 0: the typical one.")
     ] = 0,
-    individuals_seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Which plants are drawn.")] = 1,
-    judge: Annotated[JudgeBy, typer.Option(help="What counts over drawn plants.")] = JudgeBy.MEAN,
+    individuals_seed: Annotated[
+        int | None, typer.Option(min=0, max=2**32 - 1, help="Which plants are drawn.", show_default="1")
+    ] = None,
+    judge: Annotated[
+        JudgeBy | None, typer.Option(help="What counts over drawn plants.", show_default=JudgeBy.MEAN.value)
+    ] = None,
     neat: Annotated[
         str | None,
         typer.Option(metavar="CFG", help="Settings of NEAT: sparse, or a file that names only what it changes."),
@@ -78,13 +83,18 @@ def evolve(
         raise BadInput("-o is missing: name the folder to write")
     if jobs is not None and cluster is not None:
         raise BadInput("--jobs and --cluster: the cluster decides how many there are; leave one of them out")
+    if individuals == 0:
+        for option, value in (("--individuals-seed", individuals_seed), ("--judge", judge)):
+            must_not(option, value, "no plants are drawn without --individuals")
     folder = _module("evolution_folder")
     folder.check_output(output, force=force)
     plan = _module("plan").Plan(
         parcel=_module("plan").parcel_of(simulator),
         task=_module("task_file").task_named(task),
         settings=_module("neat_settings").settings_named(neat, population=population),
-        individuals=_module("individuals").Individuals(individuals, individuals_seed, judge.value),
+        individuals=_module("individuals").Individuals(
+            individuals, 1 if individuals_seed is None else individuals_seed, (judge or JudgeBy.MEAN).value
+        ),
         runs=runs,
         generations=generations,
         seed=seed,
@@ -109,7 +119,7 @@ def evolve(
                 )
         except (KeyboardInterrupt, SystemExit):
             if kept.path.exists() and not quiet:
-                print(f"the runs are kept in {kept.path}; the same command with --resume goes on", file=sys.stderr)
+                print(f"the runs are kept in {kept.path}; {going_on()}", file=sys.stderr)
             raise
         kept.remove()
     if as_json:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from flora_common.errors import FloraError
 from flora_lab.bars import ENVIRONMENT
-from flora_lab.stopped_work import waited_for
+from flora_lab.stopped_work import WITHIN, waited_for
 
 
 class ChildFailed(FloraError):
@@ -49,7 +49,7 @@ def run_child(program: str, arguments: Sequence[str], *, held: int, is_silent: b
         pass_fds=(held,),
         start_new_session=True,
         # Who waits from afar is told of steps, not of each step's own bars.
-        env={name: value for name, value in os.environ.items() if name != ENVIRONMENT},
+        env={name: value for name, value in os.environ.items() if name != ENVIRONMENT} | {WITHIN: "flora-lab paper"},
     )
     said = waited_for(process)
     status = process.returncode

@@ -17,6 +17,7 @@ from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.settings import PathSettings
 from flora_lab import outputs
 from flora_lab.lights import parse_rule
+from flora_lab.option_values import must_not
 from flora_lab.sources import FilmSource, FolderSource, RunSource, open_source
 from flora_lab.track import learning, options, screen
 from flora_lab.track.drawing import DrawReadings
@@ -47,8 +48,8 @@ def track(
     anchor: options.AnchorOption = None,
     px_per_cm: options.ScaleOption = None,
     window: options.WindowOption = None,
-    interval_s: options.IntervalOption = 300.0,
-    light_from: options.LightOption = "auto",
+    interval_s: options.IntervalOption = None,
+    light_from: options.LightOption = None,
     widest_stem_cm: options.WidestOption = None,
     hidden_base_cm: options.HiddenBaseOption = None,
     below_anchor_cm: options.BelowAnchorOption = None,
@@ -78,9 +79,13 @@ def track(
     wanted = Wanted(overlays, contact, film, every)
     wanted.check(output, force=force)
     span = options.span_of(frames)
-    rule = parse_rule(light_from)
+    rule = parse_rule(light_from or options.LIGHT_RULE)
     source = open_source(input_path)
     wanted.check_apart(source)
+    if isinstance(source, RunSource):
+        must_not("--interval-s", interval_s, f"{source.folder.frames_csv} tells the times")
+        must_not("--light-from", light_from, f"{source.folder.frames_csv} tells the lamps")
+    between_s = options.INTERVAL_S if interval_s is None else interval_s
     count = len(span.indices(source.count))
     if count == 0:
         raise BadInput(f"--frames: no frame between {frames}; {source.name} has {source.count}, counted from 0")
@@ -113,7 +118,7 @@ def track(
         "first frame": span.first,
         "frames before": span.end,
         "lights": light_from,
-        "interval_s": interval_s,
+        "interval_s": between_s,
     }
     silent = quiet or as_json
     with (
@@ -132,7 +137,7 @@ def track(
         found = stage("stems", count, resumed)
         rest = Span(span.first + resumed, span.end).take(source.frames())
         try:
-            for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=interval_s):
+            for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=between_s):
                 part.add(reading, how.memory)
                 found()
         except KeyboardInterrupt:

@@ -21,6 +21,8 @@ from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, refusal, within
 from flora_lab.sources import FilmSource, FolderSource, RunSource, Source
 from flora_lab.track.readings import Span
 
+INTERVAL_S: Final = 300.0
+LIGHT_RULE: Final = "auto"
 PAPER_SAMPLING_PX: Final = 410
 """Width at which the published method looks at pictures: 1/8 of 3280 px."""
 SMALL_WORK_PX: Final = 200e6
@@ -67,14 +69,19 @@ WindowOption = Annotated[
     str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Look inside this part of the picture only, px.")
 ]
 IntervalOption = Annotated[
-    float,
-    typer.Option(callback=within(LEAST_S, LONGEST_STEP_S), help="Seconds between frames, where no frames.csv says it."),
+    float | None,
+    typer.Option(
+        callback=within(LEAST_S, LONGEST_STEP_S),
+        help="Seconds between frames, where no frames.csv says it.",
+        show_default=f"{INTERVAL_S:g}",
+    ),
 ]
 LightOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="RULE",
         help="Lamps, where no frames.csv says it: auto|picture|left|right|dark|both or left:0-46,right:47-93.",
+        show_default=LIGHT_RULE,
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors.")]

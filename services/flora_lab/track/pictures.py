@@ -20,6 +20,7 @@ from flora_common.errors import BadInput, StoreError
 from flora_common.vision import draw
 from flora_common.vision.picture import Picture
 from flora_lab import outputs
+from flora_lab.option_values import must_not
 from flora_lab.sources import Source
 from flora_lab.track.drawing import DrawReadings, DrawTask, View, plant_view, whole
 from flora_lab.track.pool import Pool
@@ -70,6 +71,8 @@ class Wanted:
         Raises:
             BadInput: something is in the way, or a file name that says nothing known.
         """
+        if not self.any:
+            must_not("--every", self.every, "no --overlays, --contact or --film is asked for")
         folder = self.overlays
         is_there = folder is not None and outputs.is_there(folder, "--overlays")
         if folder is not None and is_there and (not folder.is_dir() or any(folder.iterdir())):

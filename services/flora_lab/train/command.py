@@ -12,9 +12,10 @@ import typer
 from flora_common.errors import BadInput
 from flora_common.suggest import did_you_mean
 from flora_lab.dataset.store import INFO_FILE as DATASET_INFO_FILE
+from flora_lab.option_values import must_not
 from flora_lab.run_tracks import load_runs
 from flora_lab.simulator.store import SimulatorFile, check_output, write_simulator
-from flora_lab.stopped_work import sigterm_ends, unfinished
+from flora_lab.stopped_work import going_on, sigterm_ends, unfinished
 from flora_lab.train.checkpoint import checkpoint_path
 from flora_lab.train.progress import shown
 from flora_lab.train.recipes import DEFAULT_RECIPE, RECIPES, Progress, Trained, TrainOptions
@@ -82,13 +83,15 @@ def train(
         batch=batch,
         split=split.value if split else None,
     )
+    for name in RECIPES[recipe].without:
+        must_not(f"--{name}", getattr(options, name), f"--recipe {recipe} has no use for it")
     silent = quiet or as_json
     with sigterm_ends(), shown(silent=silent, quiet=silent, tensorboard=tensorboard) as progress:
         try:
             trained = _learn(recipe, inputs, options, progress)
         except (KeyboardInterrupt, SystemExit):
             if checkpoint.exists():
-                progress.note(f"what was learned is kept in {checkpoint}; the same command with --resume goes on")
+                progress.note(f"what was learned is kept in {checkpoint}; {going_on()}")
             raise
         progress.stage("writing")
         info = write_simulator(

@@ -105,10 +105,12 @@ class TrainRecipe:
     Attributes:
         module: where its functions are.
         takes_data: whether it also learns from a training set.
+        without: names of :class:`TrainOptions` that change nothing in it.
     """
 
     module: str
     takes_data: bool
+    without: tuple[str, ...] = ()
 
     def from_runs(self) -> FromRuns:
         """Import it."""
@@ -121,7 +123,7 @@ class TrainRecipe:
 
 RECIPES: Final = {
     "sequence": TrainRecipe("flora_lab.train.sequence", takes_data=False),
-    "mechanistic": TrainRecipe("flora_lab.train.mechanistic", takes_data=False),
+    "mechanistic": TrainRecipe("flora_lab.train.mechanistic", takes_data=False, without=("patience", "batch", "split")),
     "paper": TrainRecipe("flora_lab.train.paper", takes_data=True),
 }
 DEFAULT_RECIPE: Final = "sequence"
