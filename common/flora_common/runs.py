@@ -22,7 +22,7 @@ import msgspec
 from flora_common import files
 from flora_common.errors import BadRunFolder
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
-from flora_common.suggest import did_you_mean
+from flora_common.suggest import clipped, did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
@@ -44,6 +44,8 @@ Points = Iterable[Iterable[float]]
 
 MOST_CM: Final = 500.0
 """No point of a grow box is farther from the anchor; a coordinate beyond it is a wrong unit."""
+LONGEST_PATH: Final = 500
+"""Signs of a photograph's path in ``frames.csv``; file systems know no names of more than 255."""
 MOST_TIME_S: Final = 1e12
 LONGEST_S: Final = 366 * 86_400.0
 MOST_NUMBER: Final = 1e30
@@ -153,8 +155,8 @@ class RunFolder:
             where = f"{self.frames_csv} line {line}"
             file = row.pop("file")
             path = Path(file)
-            if not file or path.is_absolute() or ".." in path.parts:
-                raise BadRunFolder(f"{where}: file `{file}` must be a relative path inside the run folder")
+            if not file or len(file) > LONGEST_PATH or path.is_absolute() or ".." in path.parts:
+                raise BadRunFolder(f"{where}: file `{clipped(file)}` must be a relative path inside the run folder")
             time_s = later_time(row.pop("time_s"), times, where)
             times.append(time_s)
             light = known_light(row.pop("light"), where)
@@ -248,6 +250,7 @@ def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, u
         most: what nobody can have measured lies beyond it.
         unit: that the column is in, for the message.
     """
+    name = clipped(name)
     try:
         value = float(text)
     except ValueError:

@@ -70,6 +70,8 @@ def test_settings_that_come_with_flora_have_names(tmp_path: Path, monkeypatch: p
     [
         ("[NEAT]\npop_sise = 3", r"unknown setting `pop_sise` in \[NEAT\]; did you mean `pop_size`\?"),
         ("[DefaultGenom]\nnum_hidden = 3", r"unknown section \[DefaultGenom\]; did you mean `DefaultGenome`\?"),
+        (f"[{'x' * 5000}]\nseed = 3", r"unknown section \[x{60}…\]; known"),
+        (f"[NEAT]\n{'x' * 5000} = 3", r"unknown setting `x{60}…` in \[NEAT\]"),
         ("[NEAT]\nseed = 3", r"unknown setting `seed` in \[NEAT\]"),
         ("[NEAT]\npop_size = 1", "pop_size is 1; it must be between 2 and 1000000"),
         ("[NEAT]\npop_size = many", "pop_size is `many`; it must be a whole number"),

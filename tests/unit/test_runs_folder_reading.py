@@ -129,6 +129,8 @@ def test_no_folder(tmp_path: Path) -> None:
             b"file,time_s,light\na.jpg,0,left\nb.jpg,4e7,left\n",
             "line 3: time_s 4e+07 is more than a year after the first",
         ),
+        (b"file,time_s,light\n" + b"x" * 5000 + b",0,left\n", f"file `{'x' * 60}…` must be a relative path"),
+        (b"file,time_s,light," + b"x" * 5000 + b"\na,0,left,b\n", f"line 2: {'x' * 60}… is `b`, not a number"),
         (b"x" * 5000 + b"\n", "no column `file`; known: " + "x" * 60 + "…"),
     ],
 )

@@ -20,7 +20,7 @@ from neat.math_util import stat_functions
 from flora_common.controller_file import INPUT_NAMES
 from flora_common.errors import BadInput
 from flora_common.network import ACTIVATIONS, AGGREGATIONS, MAX_NUMBER
-from flora_common.suggest import did_you_mean
+from flora_common.suggest import clipped, did_you_mean
 
 SETTINGS_FILE: Final = Path(__file__).with_name("neat.cfg")
 NAMED: Final[Mapping[str, Path]] = {"sparse": Path(__file__).with_name("neat-sparse.cfg")}
@@ -138,11 +138,11 @@ def load_settings(path: Path | None = None, *, population: int | None = None) ->
         where = path
         for name, values in _parsed(path).items():
             if name not in sections:
-                raise BadInput(f"{path}: unknown section [{name}]{did_you_mean(name, sections)}")
+                raise BadInput(f"{path}: unknown section [{clipped(name)}]{did_you_mean(name, sections)}")
             known = sections[name]
             for key, text in values.items():
                 if key not in known:
-                    raise BadInput(f"{path}: unknown setting `{key}` in [{name}]{did_you_mean(key, known)}")
+                    raise BadInput(f"{path}: unknown setting `{clipped(key)}` in [{name}]{did_you_mean(key, known)}")
                 known[key] = _converted(text, known[key], f"{path}: {key}")
     if population is not None:
         sections["NEAT"]["pop_size"] = population
@@ -199,7 +199,7 @@ def _guess(text: str) -> Value:
 def _converted(text: str, like: Value, where: str) -> Value:
     if isinstance(like, bool):
         if text.lower() not in ("true", "false"):
-            raise BadInput(f"{where} is `{text}`; it must be True or False")
+            raise BadInput(f"{where} is `{clipped(text)}`; it must be True or False")
         return text.lower() == "true"
     if isinstance(like, str):
         return text
