@@ -24,9 +24,9 @@ def can_be_made(path: Path, option: str = "-o") -> None:
     """
     there = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
     if not there.is_dir():
-        raise BadInput(f"{path}: cannot be made, {there} is no folder; name another place with {option}")
+        raise BadInput(f"{path}: cannot be written, {there} is no folder; name another place with {option}")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise BadInput(f"{path}: cannot be made, {there} may not be written; name another place with {option}")
+        raise BadInput(f"{path}: cannot be written, nothing may be made in {there}; name another place with {option}")
 
 
 def is_there(path: Path, option: str = "-o") -> bool:

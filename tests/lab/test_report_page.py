@@ -94,7 +94,10 @@ def test_a_page_is_replaced_only_when_asked_for_and_what_is_no_page_never(
         (["--strip", str(run.path / "frames" / "000000.jpg")], "the strip is written as PNG"),
         (["-o", str(strip), "--strip", str(strip)], "is not the page of a run"),
         (["-o", str(run.path)], "run: is a folder; name a file with -o"),
-        (["--strip", str(mine / "strip.png")], f"cannot be made, {mine} is no folder; name another place with --strip"),
+        (
+            ["--strip", str(mine / "strip.png")],
+            f"cannot be written, {mine} is no folder; name another place with --strip",
+        ),
     ):
         capsys.readouterr()
         assert main([*command, "--force", *more]) == 2

@@ -114,7 +114,7 @@ def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
     place = tmp_path / "note" / f"seen{suffix}"
     assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), option, str(place)]) == 2
     said = capfd.readouterr().err
-    assert f"{place}: cannot be made, {tmp_path / 'note'} is no folder; name another place with {option}" in said
+    assert f"{place}: cannot be written, {tmp_path / 'note'} is no folder; name another place with {option}" in said
 
 
 def test_pictures_that_cannot_be_made_leave_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
