@@ -29,6 +29,9 @@ _FOUND_IN_HEALTHY: Final = 2.0
 :data:`_BY_CHANCE`; and at most."""
 _BY_CHANCE: Final = 0.5
 _MOST_DOUBT: Final = 4.0
+_FIRST: Final = 3.0
+"""Nats that the first cause needs besides: where nothing is hidden, what is wrong in the form of the law looks like a
+weak cause."""
 FORM: Final = 0.015
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
@@ -64,6 +67,7 @@ class Explainer:
         more = max(1.0, len(scenes) / _RUNS)
         doubt = more * _doubt_of(known)
         self.claim = CLAIM + doubt
+        self.first_claim = self.claim + _FIRST
         self.nameless = more * NAMELESS + doubt
         self._on_step = on_step
         self._answers: list[Answers] = []
@@ -105,7 +109,7 @@ class Explainer:
                     found = joint.fit(_without(found, last), 12)
                     break
         beside = self._beside(stages[-1], accepted)
-        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.claim, beside)
+        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.first_claim, beside)
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""
@@ -136,6 +140,8 @@ class Explainer:
 
     def _needed(self, accepted: Sequence[Accepted]) -> float:
         """Nats that one cause more must have."""
+        if not accepted:
+            return self.first_claim
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
         return self.claim + min(wrong, _MOST_OF_FORM)
