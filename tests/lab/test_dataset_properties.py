@@ -50,7 +50,7 @@ def runs(draw: st.DrawFn) -> list[RunTrack]:
         beats[2:] = beats[1] + np.cumsum(random.choice([1, 1, 1, 1, 3], size=count - 2))
         lights: tuple[Light, ...] = tuple(random.choice(["left", "right"], size=count).tolist())
         points = tips[:, None, :] * (np.arange(10) / 9.0)[None, :, None]
-        points = np.clip(np.round(points, 4), -400.0, 400.0)
+        points = np.clip(np.round(points, 4), -40.0, 40.0)  # no stem of the box goes farther
         track = Track(beats * STEP_S, lights, points, {})
         made.append(RunTrack(f"run{index}", f"plant{index}", Path(f"{index}.csv"), "0" * 64, track))
     return made
