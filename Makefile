@@ -14,7 +14,7 @@ CASES  ?= 400
 PER_WORLD ?= 5
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -111,6 +111,9 @@ discovery: setup  ## hide effects in drawn runs, see whether they are named, pri
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper
+
+guide: setup  ## make the network that tells stems and apices anew, in out/guide: two hours; goes on where it was stopped
+	@$(BIN)/python tests/guide --out out/guide --jobs $(JOBS)
 
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
 	@{ echo "# The versions that flora is tested with, all extras. \`make pins\` writes it from an environment that has them all."; \

@@ -14,7 +14,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path import nearby
 from flora_common.vision.path.chain import Before
-from flora_common.vision.path.curve import Sampler
+from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.picture import Picture, decode_picture
 from flora_common.vision.reading import OK, StemReading

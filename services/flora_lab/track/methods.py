@@ -13,7 +13,8 @@ from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.path.tracker import PathTracker, Sight
+from flora_common.vision.path.sight import Sight
+from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.reading import StemReading
 from flora_common.vision.setup import SetupMatrices

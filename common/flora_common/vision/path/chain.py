@@ -71,6 +71,11 @@ class Chain:
     rival_cm: float
     end: End
 
+    @property
+    def strength(self) -> float:
+        """The evidence along its pieces, median."""
+        return float(np.median(np.concatenate([piece.strength for piece in self.pieces])))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Before:

@@ -6,6 +6,7 @@ hardly any of it; one that leaves only :func:`unsure_of_end` shows the stem, and
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final
 
@@ -15,9 +16,10 @@ import numpy as np
 from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.path.chain import Chain
-from flora_common.vision.path.curve import Sampler, Stem, arc_length
+from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.looks import has_neck, leaf_from
-from flora_common.vision.path.strands import ByteArray, End, Strands
+from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.strands import ByteArray, End, Strand, Strands
 
 LEAST_COVER: Final = 0.75
 """Share of the line that must lie on plant."""
@@ -45,19 +47,20 @@ ALIKE: Final = 0.5
 FADED, FADED_SHARE = 2.0, 0.45
 """Evidence before the tip, in shares of the least that counts, and its share of that below, under which the stem has
 faded and may go on unseen."""
+BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
+ANOTHER_PART: Final = "another part of the plant may as well be the stem"
+ANOTHER_STEM: Final = "something else rises beside the anchor as a stem does"
 LONGEST_UNSEEN_CM: Final = 2.4
 """In a picture by itself: over a longer gap what goes on may be another plant's stem, and what hides it its leaf."""
 
 
-def doubt(stem: Stem, sampler: Sampler, strands: Strands, camera: CameraSection, above_cm: float) -> str:
+def doubt(stem: Stem, sampler: Sampler, px_per_cm: float, *, touching_cm: float, above_cm: float) -> str:
     """Why the line may be another thing than the whole stem, one clause; empty where nothing says so."""
-    scale = camera.px_per_cm
     if reason := badly_covered(stem, sampler):
         return reason
-    touching_cm = _touching_px(strands, camera) / scale
     if touching_cm > REACHES_IN_CM:
         return f"something wide reaches in over {touching_cm:.0f} cm of the picture's edge"
-    length_cm = stem.length / scale
+    length_cm = stem.length / px_per_cm
     if above_cm > max(GOES_ON_CM, GOES_ON_SHARE * length_cm):
         return f"the plant goes on for {above_cm:.1f} cm above a stem of {length_cm:.1f} cm"
     return ""
@@ -75,25 +78,46 @@ def unsure_of_end(stem: Stem, sampler: Sampler, px_per_cm: float, above_cm: floa
         return f"the plant goes on for {above_cm:.1f} cm above the tip"
     if ahead_cm > UNSURE_BEYOND_CM:
         return f"the plant goes on for {ahead_cm:.1f} cm ahead of the tip"
+    if reason := fades(stem, sampler, px_per_cm):
+        return reason
+    if reason := ends_in_leaf(stem, sampler, px_per_cm):
+        return reason
+    if has_neck(stem.line, sampler, px_per_cm):
+        return "the line goes through a neck that is thinner than the stem on both sides"
+    return ""
+
+
+def ends_in_leaf(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
+    """Why the end may be a leaf's, one clause; empty where nothing says so."""
+    if leaf_from(stem.line, sampler, px_per_cm) < len(stem.line):
+        return "the line ends in what is darker and greener than the stem below: a leaf"
+    return ""
+
+
+def fades(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
+    """Why the stem may go on unseen, one clause; empty where nothing says so."""
     s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
     to_tip_cm = (s[-1] - s) / px_per_cm
     last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
     below = float(np.median(rest)) if rest.size else 0.0
     if last.size and float(np.median(last)) < max(FADED * sampler.least, FADED_SHARE * below):
         return "the stem fades before it ends: it looks like what is behind it"
-    if leaf_from(stem.line, sampler, px_per_cm) < len(stem.line):
-        return "the line ends in what is darker and greener than the stem below: a leaf"
-    if has_neck(stem.line, sampler, px_per_cm):
-        return "the line goes through a neck that is thinner than the stem on both sides"
     return ""
 
 
-def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
-    """Whether something else rises from the height of the anchor, as thick and as clear as the stem: another plant."""
+def another_stem(
+    line_px: FloatArray, strength: float, width_px: float, pieces: Iterable[Strand], camera: CameraSection
+) -> bool:
+    """Whether something else rises from the height of the anchor, as thick and as clear as the stem: another plant.
+
+    Args:
+        line_px: the stem, shape (n, 2).
+        strength, width_px: of it: evidence along it, and across.
+        pieces: all that look like stem.
+        camera: anchor and scale.
+    """
     scale, (x, y) = camera.px_per_cm, camera.anchor_px
-    strength = float(np.median(np.concatenate([piece.strength for piece in chain.pieces])))
-    width = float(np.nanmedian(chain.width))
-    for piece in strands.pieces:
+    for piece in pieces:
         low = piece if piece.points[0, 1] > piece.points[-1, 1] else piece.reversed()
         foot = low.points[0]
         rise = foot - low.points[min(len(low.points) - 1, round(RISES_CM * scale))]
@@ -104,11 +128,22 @@ def another_stem(chain: Chain, strands: Strands, camera: CameraSection) -> bool:
             and y - foot[1] < FOOT_CM * scale
             and abs(rise[0]) < UPRIGHT * rise[1]
             and float(np.median(piece.strength)) > ALIKE * strength
-            and float(np.median(piece.width)) > ALIKE * width
-            and float(np.hypot(*(chain.points - foot).T).min()) > BESIDE_CM * scale
+            and float(np.median(piece.width)) > ALIKE * width_px
+            and float(np.hypot(*(line_px - foot).T).min()) > BESIDE_CM * scale
         ):
             return True
     return False
+
+
+def unseen(gap_cm: float) -> str:
+    """Why what follows a gap may be another plant's, one clause."""
+    return f"nothing is seen of it over {gap_cm:.1f} cm; what goes on may be another plant"
+
+
+def longest_unseen_px(stem: Stem) -> float:
+    """The longest part of a stem that shows neither edges nor a ridge."""
+    s = arc_length(stem.line)
+    return float(np.diff(np.concatenate([[0.0], s[stem.seen], s[-1:]])).max())
 
 
 def longest_gap_px(chain: Chain) -> float:
@@ -119,8 +154,12 @@ def longest_gap_px(chain: Chain) -> float:
 
 def begins_aside(chain: Chain, camera: CameraSection) -> bool:
     """Whether what is seen of the stem begins beside the anchor rather than above it: it is another plant's."""
-    (x, y), foot = camera.anchor_px, chain.pieces[0].points[0]
-    return bool(abs(foot[0] - x) > max(ASIDE_CM * camera.px_per_cm, y - foot[1]))
+    return is_aside(chain.pieces[0].points[0] - camera.anchor_px, camera.px_per_cm)
+
+
+def is_aside(foot_px: FloatArray, px_per_cm: float) -> bool:
+    """Whether a place, (x, y) px from the anchor, lies beside it rather than above it."""
+    return bool(abs(foot_px[0]) > max(ASIDE_CM * px_per_cm, -foot_px[1]))
 
 
 def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_per_cm: float) -> tuple[float, float]:
@@ -149,7 +188,7 @@ def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_
     return above, float(np.max(ahead, where=aside < CONE * ahead + 0.1 * px_per_cm, initial=0.0))
 
 
-def _touching_px(strands: Strands, camera: CameraSection) -> float:
+def touching_px(strands: Strands, camera: CameraSection) -> float:
     """Over how many px of the picture's sides and upper edge wide parts of plant touch it."""
     (x, y), width = strands.origin_px, strands.leaf.shape[1]
     count = 0

@@ -14,6 +14,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from flora_common.geometry import FloatArray
 from flora_common.vision.lamp_states import COARSE, log_code
 from flora_common.vision.path.survey import (
     BLOCK,
@@ -59,6 +60,17 @@ class Evidence:
     @property
     def empty(self) -> bool:
         return self.plant.size == 0
+
+    def cut(self, middle_px: FloatArray, reach_px: float) -> Evidence:
+        """The part of it that lies about a place (x, y), px of the full picture; never empty where this is not."""
+        x, y = middle_px - np.array(self.origin_px)
+        height, width = self.plant.shape
+        columns, rows = (
+            slice(min(max(0, round(at - reach_px)), size - 1), max(1, min(size, round(at + reach_px) + 1)))
+            for at, size in ((x, width), (y, height))
+        )
+        origin = self.origin_px[0] + columns.start, self.origin_px[1] + rows.start
+        return replace(self, origin_px=origin, plant=self.plant[rows, columns], code=self.code[rows, columns])
 
     @property
     def least(self) -> float:

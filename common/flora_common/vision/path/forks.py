@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.curve import arc_length, normals
+from flora_common.vision.path.sampler import arc_length, normals
 from flora_common.vision.path.strands import Strands
 
 STEP_CM: Final = 0.1

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.curve import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler, arc_length
 
 STEP_CM: Final = 0.05
 """The line is looked at in steps of this length."""

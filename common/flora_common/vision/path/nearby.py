@@ -19,8 +19,9 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path import curve, doubts
 from flora_common.vision.path.chain import Before
-from flora_common.vision.path.curve import Sampler, Stem, arc_length
+from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.path.sampler import Sampler, arc_length
 from flora_common.vision.path.survey import ByteArray, Survey
 from flora_common.vision.path.tip import Tip, find_tip
 
@@ -72,6 +73,7 @@ class Nearby(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         sure_px: distance from the anchor up to which it was sure, without being carried on to its tip.
         bends_from_px: distance from the anchor from which it bends tightly; None where it does not.
         looks: pictures since then of which only a part was looked at.
+        is_guided: whether the network told its way.
     """
 
     lamps: int
@@ -81,13 +83,16 @@ class Nearby(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sure_px: float
     bends_from_px: float | None = None
     looks: int = 0
+    is_guided: bool = False
 
 
-def after(stem: Stem, sure_px: float, evidence: Evidence) -> Nearby:
+def after(stem: Stem, sure_px: float, evidence: Evidence, *, is_guided: bool) -> Nearby:
     """What a look at a whole picture tells, in which a stem was found."""
     width = float(stem.width[0]), float(stem.width[-1])
     bends_from = stem.bends_from if math.isfinite(stem.bends_from) else None
-    return Nearby(evidence.lamps, evidence.noise, evidence.plant_pixels, width, sure_px, bends_from)
+    return Nearby(
+        evidence.lamps, evidence.noise, evidence.plant_pixels, width, sure_px, bends_from, is_guided=is_guided
+    )
 
 
 def since_clear(near: Nearby | None, stem: Stem, before: Before | None, px_per_cm: float) -> Nearby | None:

@@ -1,0 +1,152 @@
+"""The stem along the way that the network tells, measured, with its tip where the apex is likeliest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.vision.path import across, curve, doubts
+from flora_common.vision.path.apex import drawn_to
+from flora_common.vision.path.chain import RIVAL_CM, Before
+from flora_common.vision.path.curve import STEP_PX, Stem
+from flora_common.vision.path.guide import Way
+from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.tip import Tip, find_tip
+
+USABLE: Final = 0.08
+"""How likely an apex is at least where its way is taken,"""
+SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
+"""where it is believed by itself, where the rules come to it but doubt it, and where it was plain to see before."""
+KEEPS, KEEPS_CM = 3.0, 1.0
+"""An apex where it was before counts by up to so much more, and one farther off than this by nothing."""
+RIVAL_SHARE: Final = 0.6
+"""An apex elsewhere that is likelier than this share of the chosen one's may as well be the stem's."""
+AGREES_CM: Final = 0.5
+LEAST_ALONG: Final = 0.1
+"""What is less likely the stem's middle shows no stem."""
+WAY_ERROR_CM: Final = 0.08
+"""Standard deviation of the way across the stem."""
+MEASURED_TO_CM: Final = 0.6
+"""Before the apex edges are those of young leaves."""
+ONWARDS_CM: Final = 0.5
+SAME_TIP_CM: Final = 0.25
+"""Where the rules end as near as this to the network, the tip lies half-way between."""
+APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
+"""Standard deviation of a sure apex along the stem, and what one in doubt has besides."""
+LOWER, WIDEST_CM, LEAST_WIDTH_PX = 0.6, 1.0, 1.5
+"""The stem's width is that over this share of the way, between these."""
+TURNS_RAD, TURNS_CM, TURNS_STEP_CM = 0.5, 0.8, 0.2
+"""A way that turns by the first over the second goes round a bend; looked at in steps of the third."""
+
+
+def is_usable(way: Way) -> bool:
+    """Whether the way says more than other means do."""
+    return way.sure >= USABLE
+
+
+def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
+    """The likeliest way, where one that ends at the apex before is likelier by itself."""
+    if before is None:
+        return ways[0]
+    tip = before.line_px[-1]
+
+    def worth(way: Way) -> float:
+        away = min(1.0, math.dist(way.tip_px, tip) / (KEEPS_CM * px_per_cm))
+        return way.sure * (1.0 + before.trust * (KEEPS - 1.0) * (1.0 - away))
+
+    return max(ways, key=worth)
+
+
+def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_first: bool) -> str:
+    """Why the way may lead to another plant, or another part of this one; empty where nothing says so.
+
+    Args:
+        way: that was chosen,
+        stem: along it,
+        others: of those that the network tells, itself among them.
+        px_per_cm: scale.
+        is_first: nothing is known from pictures before.
+    """
+    seen = way.line_px[_along(way) >= LEAST_ALONG]
+    if len(seen) and doubts.is_aside(seen[0] - way.line_px[0], px_per_cm):
+        return doubts.BEGINS_ASIDE
+    if not is_first:
+        return ""
+    unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
+    if unseen_cm > doubts.LONGEST_UNSEEN_CM:
+        return doubts.unseen(unseen_cm)
+    rivals = (other.sure for other in others if math.dist(other.tip_px, way.tip_px) > RIVAL_CM * px_per_cm)
+    if max(rivals, default=0.0) > RIVAL_SHARE * way.sure:
+        return doubts.ANOTHER_PART
+    return ""
+
+
+def agrees(way: Way, stem: Stem, px_per_cm: float) -> bool:
+    """Whether the end of a stem that was found otherwise is the likeliest apex, too."""
+    return math.dist(way.tip_px, stem.line[-1]) < AGREES_CM * px_per_cm
+
+
+def _along(way: Way) -> FloatArray:
+    """How likely each place of the line is the stem's middle, shape (n,)."""
+    places, ways = (np.linspace(0.0, 1.0, len(v)) for v in (way.line_px, way.along))
+    return np.interp(places, ways, way.along)
+
+
+def stem_along(way: Way, sampler: Sampler, px_per_cm: float) -> tuple[Stem, Tip]:
+    """The stem along the network's way, and its tip.
+
+    Args:
+        way: to the apex.
+        sampler: of the picture.
+        px_per_cm: scale.
+    """
+    line = way.line_px
+    s = arc_length(line)
+    width = _width(line, s, sampler, px_per_cm)
+    upto = max(float(s[-1]) - MEASURED_TO_CM * px_per_cm, 0.6 * float(s[-1]))
+    stem = curve.along_line(
+        line, upto, (width, 0.8 * width), _bends_from(line, s, px_per_cm), sampler, px_per_cm, WAY_ERROR_CM
+    )
+    safe, apex = len(stem.line) - 1, way.tip_px
+    by_rules = find_tip(stem, sampler, px_per_cm, beyond_cm=(float(s[-1]) - upto) / px_per_cm + SAME_TIP_CM).places[-1]
+    if math.dist(by_rules, apex) < SAME_TIP_CM * px_per_cm:
+        apex = 0.5 * (apex + by_rules)
+    rest = drawn_to(line, apex, MEASURED_TO_CM * px_per_cm)[s > upto + STEP_PX]
+    places = rest if len(rest) else apex[None]
+    heading = places[-1] - (places[-3] if len(places) > 2 else stem.line[-1])
+    heading = heading / max(1e-9, float(np.hypot(*heading)))
+    onwards = places[-1] + np.arange(1.0, ONWARDS_CM * px_per_cm)[:, None] * heading
+    error = (APEX_ERROR_CM + UNSURE_ERROR_CM * (1.0 - way.sure) ** 2) * px_per_cm
+    tip = Tip(safe, places, onwards, True, error)
+    whole = curve.with_tip(stem, safe, places, sampler, px_per_cm, WAY_ERROR_CM)
+    drawn = drawn_to(whole.line, apex, MEASURED_TO_CM * px_per_cm)
+    return replace(whole, line=drawn, length=float(arc_length(drawn)[-1])), tip
+
+
+def _width(line: FloatArray, s: FloatArray, sampler: Sampler, px_per_cm: float) -> float:
+    """The stem's width along the lower part of the way, px."""
+    low = np.arange(0.0, max(2.0, LOWER * s[-1]), STEP_PX)
+    places = np.column_stack([np.interp(low, s, line[:, k]) for k in range(2)])
+    width = across.bare_width(places, WIDEST_CM * px_per_cm, sampler)
+    return width if width > LEAST_WIDTH_PX else LEAST_WIDTH_PX
+
+
+def _bends_from(line: FloatArray, s: FloatArray, px_per_cm: float) -> float:
+    """Distance from the anchor, px, from which the way bends more tightly than stems usually do."""
+    even = np.arange(0.0, s[-1], TURNS_STEP_CM * px_per_cm)
+    if len(even) < 6:
+        return math.inf
+    at = np.column_stack([np.interp(even, s, line[:, k]) for k in range(2)])
+    reach = 2
+    step = at[reach:] - at[:-reach]
+    angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    apart = round(TURNS_CM / TURNS_STEP_CM)
+    if len(angle) <= apart:
+        return math.inf
+    turned = np.flatnonzero(np.abs(angle[apart:] - angle[:-apart]) > TURNS_RAD)
+    return max(0.0, float(even[turned[0]]) - curve.BEND_BEGINS_CM * px_per_cm) if turned.size else math.inf

@@ -1,0 +1,289 @@
+"""Where a network that has seen many drawn plants thinks that the stem and its apex are.
+
+Rules tell a stem from leaves by what one knows of both; where young leaves stand round an apex, or a petiole goes on as
+the stem does, they run out. The network (:mod:`.convolutions`) sees evidence and colours of several centimetres at
+once, at 12 px per cm whatever the camera's scale, and tells for each place how likely it is the stem's middle, or the
+apex. The guide's line is the cheapest way between anchor and apex over those (Dijkstra 1959). It is good to a
+millimetre or two; edges are measured along it as along any other.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from flora_common.geometry import FloatArray
+from flora_common.vision.path.apex import SECTION_CM, drawn_to
+from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Float32Array, Layer, Network
+from flora_common.vision.path.evidence import Evidence
+
+WEIGHTS: Final = "guide.npz"
+INPUT_PX_PER_CM: Final = 12.0
+EVIDENCE_STEP, CODE_STEP = 2.0 * 48.0 / MOST, 8.0 * 32.0 / MOST
+"""Code units of one step of the network's input; its colours are those of the plant's mean in the middle."""
+IS_PLANT: Final = 15.0
+LEAST_PLANT_PX: Final = 50
+THINNED: Final = 2
+"""One pixel in so many along either side tells the plant's colour."""
+OFF_STEM: Final = 0.02
+"""Likelihood that is added everywhere: how dear ways are where nothing looks like a stem."""
+NEAR_CM: Final = 0.6
+"""So far from where it was the apex is looked for,"""
+NEAR_SEEN_CM: Final = 4.0
+"""and so much to all sides of the tip is seen."""
+SEEN_CM: Final = 40.0
+"""The same of the anchor in a whole picture: no plant of a grow box reaches farther, and a hand does."""
+ABOUT_PEAK: Final = 2
+"""Half a side of the square over which places are averaged, px of the maps."""
+SMOOTHED_OVER: Final = 2
+"""Steps of the way to either side over which it is evened."""
+MOST_APICES, LEAST_SHARE = 5, 0.3
+"""So many places are compared, and none that is less likely than this share of the likeliest."""
+DEAREST: Final = 900.0
+"""Cost of a way of 30 cm with a gap of 2.4 cm; what is not reached for that is no apex of this plant."""
+WEAKEST_OVER: Final = 13
+"""Steps of a way over which its likelihood is averaged: 2 cm."""
+IntArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """What the network tells of a picture.
+
+    Attributes:
+        tip_px: the likeliest apex, (x, y) px of the full picture.
+        sure: 0..1, how likely it is, and the way to it where that is least likely.
+        line_px: shape (n, 2), from the anchor to it, px of the full picture.
+        along: shape (n,), how likely each of these places is the stem's middle.
+    """
+
+    tip_px: FloatArray
+    sure: float
+    line_px: FloatArray
+    along: FloatArray
+
+
+@cache
+def network() -> Network:
+    """The network as it comes with this package."""
+    with resources.files(__package__).joinpath(WEIGHTS).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return Network(
+            {
+                name: Layer(*(arrays[f"{name}.{part}"].astype(np.float32) for part in ("weight", "factor", "shift")))
+                for name in (*LAYERS, HEAD)
+            }
+        )
+
+
+class Maps:
+    """How likely each place of a part of a picture is the stem's middle, and the apex.
+
+    Args:
+        evidence: of that part.
+        px_per_cm: scale of the full picture.
+        about_px: what lies about this place, (x, y) px of the full picture,
+        within_cm: and no farther to any side, is wanted.
+    """
+
+    def __init__(self, evidence: Evidence, px_per_cm: float, about_px: FloatArray, within_cm: float) -> None:
+        colour = mean_colour(evidence)
+        evidence = evidence.cut(about_px, within_cm * px_per_cm)
+        height, width = evidence.plant.shape
+        size = [max(2, round(v * INPUT_PX_PER_CM / px_per_cm)) for v in (width, height)]
+        seen = network_input(evidence, colour, (size[0], size[1]))
+        padded = np.pad(seen, ((0, 0), *((0, -v % MULTIPLE) for v in size[::-1])), mode="edge")
+        logits = network()(padded)[:, : (size[1] + 1) // 2, : (size[0] + 1) // 2]
+        self.stem, self.apex = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+        self._step = np.array([width / size[0], height / size[1]]) * 2.0
+        self._origin = np.array(evidence.origin_px, dtype=np.float64)
+
+    def to_px(self, places: FloatArray) -> FloatArray:
+        """Places of the maps (..., 2) in px of the full picture."""
+        return np.asarray((places + 0.5) * self._step - 0.5 + self._origin, dtype=np.float64)
+
+    def from_px(self, places_px: FloatArray) -> FloatArray:
+        """The reverse."""
+        return np.asarray((places_px - self._origin + 0.5) / self._step - 0.5, dtype=np.float64)
+
+    def peaks(self) -> list[tuple[int, int]]:
+        """The likeliest apices, rows and columns, likeliest first."""
+        top = (self.apex == cv2.dilate(self.apex, np.ones((5, 5), np.uint8))) & (
+            self.apex >= LEAST_SHARE * self.apex.max()
+        )
+        places = np.argwhere(top)
+        order = np.argsort(-self.apex[top], kind="stable")[:MOST_APICES]
+        return [(int(row), int(column)) for row, column in places[order]]
+
+    def nearest_peak(self, near_px: FloatArray, within_px: float) -> tuple[int, int]:
+        """Row and column of the likeliest apex within a distance of a place of the full picture."""
+        rows, columns = np.indices(self.apex.shape)
+        away = np.hypot(*np.moveaxis(self.to_px(np.stack([columns, rows], axis=-1)) - near_px, -1, 0))
+        row, column = np.unravel_index(int(np.argmax(np.where(away <= within_px, self.apex, -1.0))), self.apex.shape)
+        return int(row), int(column)
+
+    def about(self, pixel: tuple[int, int]) -> FloatArray:
+        """The place of a peak, px of the full picture, to a fraction of a pixel."""
+        part = tuple(slice(max(0, k - ABOUT_PEAK), k + ABOUT_PEAK + 1) for k in pixel)
+        weight = self.apex[part]
+        rows, columns = np.indices(weight.shape)
+        place = np.array([(weight * columns).sum(), (weight * rows).sum()]) / max(1e-12, float(weight.sum()))
+        return self.to_px(place + np.array([part[1].start, part[0].start]))
+
+
+def mean_colour(evidence: Evidence) -> Float32Array:
+    """The code's mean where there is plant, shape (3,); everywhere where there is hardly any."""
+    code, there = evidence.code[::THINNED, ::THINNED], evidence.plant[::THINNED, ::THINNED] > IS_PLANT
+    known = code[there] if np.count_nonzero(there) > LEAST_PLANT_PX else code.reshape(-1, 3)
+    return np.asarray(known.mean(axis=0, dtype=np.float64), dtype=np.float32)
+
+
+def network_input(evidence: Evidence, colour: Float32Array, size: tuple[int, int]) -> Float32Array:
+    """What the network is shown of a part of a picture.
+
+    Args:
+        evidence: of that part.
+        colour: of the plant.
+        size: (width, height) at :data:`INPUT_PX_PER_CM`.
+
+    Returns:
+        Shape (4, height, width), whole numbers in 0..255: evidence, and the colours of the code against the plant's.
+    """
+    how = cv2.INTER_AREA if size[0] < evidence.plant.shape[1] else cv2.INTER_LINEAR
+    plant = cv2.resize(evidence.plant, size, interpolation=how)
+    code = np.asarray(cv2.resize(evidence.code, size, interpolation=how), dtype=np.float32)
+    off = (code - colour) / np.float32(CODE_STEP) + np.float32(0.5 * MOST)
+    both = np.concatenate([(plant / np.float32(EVIDENCE_STEP))[None], off.transpose(2, 0, 1)])
+    return np.asarray(np.rint(np.clip(both, 0.0, MOST)), dtype=np.float32)
+
+
+def everywhere(evidence: Evidence, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]:
+    """The likeliest apices of a picture and the ways to them, likeliest first; at least one.
+
+    Args:
+        evidence: of the plant.
+        anchor_px: where the stem begins, (x, y) px of the full picture.
+        px_per_cm: scale.
+    """
+    return ways(Maps(evidence, px_per_cm, anchor_px, SEEN_CM), anchor_px)
+
+
+def ways(maps: Maps, anchor_px: FloatArray) -> tuple[Way, ...]:
+    """The likeliest apices of a picture and the ways to them, likeliest first; at least one.
+
+    Args:
+        maps: of the picture.
+        anchor_px: where the stem begins, (x, y) px of the full picture.
+    """
+    anchor = np.asarray(anchor_px, dtype=np.float64)
+    height, width = maps.stem.shape
+    x, y = maps.from_px(anchor)
+    start = int(np.clip(round(y), 0, height - 1)), int(np.clip(round(x), 0, width - 1))
+    ends = maps.peaks()
+    band = cv2.dilate(maps.stem, np.ones((3, 3), np.uint8))
+    found = []
+    for end, way in zip(ends, _cheapest_ways(1.0 / (maps.stem + OFF_STEM), start, ends), strict=True):
+        if way is None:
+            found.append(Way(maps.about(end), 0.0, np.stack([anchor, maps.about(end)]), np.zeros(2)))
+            continue
+        along = np.asarray(band[way[:, 0], way[:, 1]], dtype=np.float64)
+        tip = maps.about(end)
+        line = _evened(maps.to_px(_centred(maps.stem, way)), tip, anchor)
+        found.append(Way(tip, float(maps.apex[end]) * _weakest(along), line, along))
+    return tuple(sorted(found, key=lambda one: -one.sure))
+
+
+def _weakest(along: FloatArray) -> float:
+    """How likely a way is the stem's where it is least likely, its lowest part left out, which a rim may hide."""
+    part = min(len(along), WEAKEST_OVER)
+    means = np.convolve(along, np.ones(part) / part, mode="valid")
+    return float(means[min(len(means) - 1, len(along) // 3) :].min())
+
+
+def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
+    """The likeliest apex near the end of the stem before, and that stem drawn to it.
+
+    Args:
+        evidence: of the part of the picture round the stem.
+        line_px: the stem in the picture before, shape (n, 2), px of the full picture.
+        px_per_cm: scale.
+    """
+    maps = Maps(evidence, px_per_cm, line_px[-1], NEAR_SEEN_CM)
+    pixel = maps.nearest_peak(line_px[-1], NEAR_CM * px_per_cm)
+    tip, sure = maps.about(pixel), float(maps.apex[pixel])
+    line = drawn_to(line_px, tip, SECTION_CM * px_per_cm)
+    columns, rows = (
+        np.clip(np.rint(v).astype(int), 0, n - 1)
+        for v, n in zip(maps.from_px(line).T, maps.stem.shape[::-1], strict=True)
+    )
+    return Way(tip, sure, line, maps.stem[rows, columns])
+
+
+def _centred(likely: FloatArray, way: IntArray) -> FloatArray:
+    """Places (x, y) in the middle of what is likely about each pixel of a way."""
+    offsets = np.arange(-ABOUT_PEAK, ABOUT_PEAK + 1)
+    rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
+    down, right = (way[:, k, None] + v.ravel() for k, v in enumerate((rows, columns)))
+    inside = (down >= 0) & (down < likely.shape[0]) & (right >= 0) & (right < likely.shape[1])
+    weight = np.where(inside, likely[np.where(inside, down, 0), np.where(inside, right, 0)], 0.0) ** 2 + 1e-9
+    total = weight.sum(axis=1)
+    return np.column_stack([(weight * right).sum(axis=1) / total, (weight * down).sum(axis=1) / total])
+
+
+def _evened(line: FloatArray, tip: FloatArray, anchor: FloatArray) -> FloatArray:
+    """The line without its steps from pixel to pixel, from anchor to tip."""
+    ends = len(line) > 2 * SMOOTHED_OVER
+    inner = line[SMOOTHED_OVER:-SMOOTHED_OVER] if ends else line[:0]
+    raw = np.concatenate([anchor[None], inner, tip[None]])
+    reach = min(SMOOTHED_OVER, (len(raw) - 1) // 2)
+    if reach < 1:
+        return raw
+    padded = np.concatenate([np.repeat(raw[:1], reach, axis=0), raw, np.repeat(raw[-1:], reach, axis=0)])
+    kernel = np.ones(2 * reach + 1) / (2 * reach + 1)
+    smooth = np.column_stack([np.convolve(padded[:, k], kernel, mode="valid") for k in range(2)])
+    smooth[0], smooth[-1] = anchor, tip
+    return smooth
+
+
+def _cheapest_ways(cost: FloatArray, start: tuple[int, int], ends: Sequence[tuple[int, int]]) -> list[IntArray | None]:
+    """The cheapest ways from pixel to neighbouring pixel to some ends, each of shape (n, 2), rows and columns; None to
+    those that are too dear."""
+    stride = cost.shape[1] + 2
+    padded = np.pad(cost, 1, constant_values=math.inf).ravel().tolist()
+    first, *last = ((row + 1) * stride + column + 1 for row, column in (start, *ends))
+    least, before = {first: 0.0}, {first: first}
+    waiting, done, sought = [(0.0, first)], set[int](), set(last)
+    neighbours = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
+    steps = [(down * stride + right, 0.5 * math.hypot(down, right)) for down, right in neighbours]
+    while waiting and sought:
+        so_far, here = heapq.heappop(waiting)
+        if so_far > DEAREST:
+            break
+        if here in done:
+            continue
+        done.add(here)
+        sought.discard(here)
+        for step, half in steps:
+            there = here + step
+            further = so_far + half * (padded[here] + padded[there])
+            if further < least.get(there, math.inf):
+                least[there], before[there] = further, here
+                heapq.heappush(waiting, (further, there))
+    found: list[IntArray | None] = []
+    for end in last:
+        if end in sought:
+            found.append(None)
+            continue
+        way = [end]
+        while way[-1] != first:
+            way.append(before[way[-1]])
+        found.append(np.column_stack(np.divmod(np.array(way[::-1], dtype=np.intp), stride)) - 1)
+    return found

@@ -1,0 +1,106 @@
+"""Make the network: examples, training, whole numbers. Go on where it was stopped by calling it again.
+
+.venv/bin/python tests/guide --out out/guide
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from pathlib import Path
+from typing import Final
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import cv2
+import numpy as np
+import torch
+
+from flora_common import files
+from guide.examples import Example, drawing_examples, read_examples, twin_examples, write_examples
+from guide.samples import sample
+from guide.training import train
+from guide.whole import arrays_of, in_whole_numbers
+from guide.wild import wild_example
+
+TO_SCALE: Final = 128
+"""Samples that tell how large activations become."""
+WILD_PER_FILE: Final = 50
+
+
+def wild_examples(seed: int) -> list[Example]:
+    """Some wild plants, each of a seed of its own."""
+    return [wild_example(seed + k) for k in range(WILD_PER_FILE)]
+
+
+def bare_examples(seed: int) -> list[Example]:
+    """The same without leaves."""
+    return [wild_example(seed + k, is_bare=True) for k in range(WILD_PER_FILE)]
+
+
+KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] = {
+    "drawing": (drawing_examples, 810_000, 1, 0.34),
+    "twin": (twin_examples, 500_000, 1, 0.1),
+    "wild": (wild_examples, 1_000_000, WILD_PER_FILE, 0.48),
+    "bare": (bare_examples, 1_500_000, WILD_PER_FILE, 0.08),
+}
+"""How each is made, its first seed, how far seeds are apart, and its share of all samples."""
+
+
+def make(kind: str, seed: int, folder: Path) -> Path:
+    """The examples of a seed, in a file; as they are, where they are there."""
+    cv2.setNumThreads(1)
+    path = folder / f"{kind}-{seed}.npz"
+    if not path.exists():
+        write_examples(path, KINDS[kind][0](seed))
+    return path
+
+
+def main() -> None:
+    """Make what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("out/guide"))
+    parser.add_argument("--drawings", type=int, default=400, help="drawn individuals, eight pictures each (400)")
+    parser.add_argument("--twins", type=int, default=60, help="individuals of the virtual box (60)")
+    parser.add_argument("--wild", type=int, default=120, help=f"times {WILD_PER_FILE} wild plants (120)")
+    parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
+    parser.add_argument("--steps", type=int, default=16_000, help="of training (16000)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
+    options = parser.parse_args()
+    folder = options.out / "examples"
+    folder.mkdir(parents=True, exist_ok=True)
+    counts = {"drawing": options.drawings, "twin": options.twins, "wild": options.wild, "bare": options.bare}
+    examples = []
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for kind, count in counts.items():
+            _, first, apart, _ = KINDS[kind]
+            seeds = range(first, first + count * apart, apart)
+            paths = []
+            for path in pool.map(make, repeat(kind), seeds, repeat(folder)):
+                paths.append(path)
+                print(f"\r{kind}: {len(paths)} of {count}", end="", flush=True)
+            examples.append([example for path in paths for example in read_examples(path)])
+            print(f", {len(examples[-1])} pictures")
+    cv2.setNumThreads(1)
+    shares = [share for *_, share in KINDS.values()]
+
+    def told(step: int, value: float) -> None:
+        print(f"\rstep {step} of {options.steps}, loss {value:.4f}", end="", flush=True)
+
+    net = train(examples, shares, options.steps, options.out / "checkpoint.pt", told)
+    rng = np.random.default_rng(5)
+    kinds = rng.choice(len(examples), TO_SCALE)
+    seen = [sample(examples[k][rng.integers(len(examples[k]))], rng)[0] for k in kinds]
+    layers = in_whole_numbers(net, torch.from_numpy(np.stack(seen)))
+    with files.atomic_writer(options.out / "guide.npz") as file:
+        np.savez_compressed(file, **arrays_of(layers))
+    print(f"\nwrote {options.out / 'guide.npz'}")
+
+
+if __name__ == "__main__":
+    main()

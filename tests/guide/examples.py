@@ -1,0 +1,94 @@
+"""What the network learns from: plants as the finder sees them, with their stems."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from drawings.run import make_world
+from flora_common import files
+from flora_common.runs import CameraSection
+from flora_common.vision.lamp_states import from_background
+from flora_common.vision.path.evidence import PlantFinder
+from flora_common.vision.path.settings import PathSettings
+from guide.canvas import PX_PER_CM, Floats
+from truth_run import TruthFrame, twin_run
+
+HOURS = 72.0
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Example:
+    """A plant at 20 px per cm.
+
+    Attributes:
+        plant: shape (height, width), evidence up to 127.
+        code: shape (height, width, 3), logarithmic code.
+        line: shape (n, 2), the true stem, anchor first, apex last, (x, y) px.
+    """
+
+    plant: Bytes
+    code: Bytes
+    line: Floats
+
+
+def photographed(finder: PlantFinder, camera: CameraSection, frame: TruthFrame) -> Example | None:
+    """A photograph with a known stem as the finder sees it; None where it sees nothing."""
+    picture = cv2.imdecode(np.frombuffer(frame.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    seen = finder.find(np.asarray(picture, dtype=np.uint8))
+    if seen.empty:
+        return None
+    height, width = seen.plant.shape
+    size = [max(8, round(v * PX_PER_CM / camera.px_per_cm)) for v in (width, height)]
+    how = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
+    plant = cv2.resize(np.minimum(seen.plant, 127.0), size, interpolation=how).astype(np.uint8)
+    code = cv2.resize(seen.code, size, interpolation=how)
+    line_px = frame.centreline_cm * [camera.px_per_cm, -camera.px_per_cm] + np.array(camera.anchor_px)
+    line = (line_px - seen.origin_px + 0.5) * [size[0] / width, size[1] / height] - 0.5
+    return Example(plant, np.asarray(code, dtype=np.uint8), line.astype(np.float32))
+
+
+def drawing_examples(seed: int, count: int = 8) -> list[Example]:
+    """A drawn individual at times drawn from its life."""
+    world = make_world(seed, hours=HOURS)
+    finder = PlantFinder(from_background(_decoded(world.background())), world.section, PathSettings())
+    times_s = np.random.default_rng(seed).uniform(0, HOURS * 3600.0, count)
+    found = (photographed(finder, world.section, world.frame(float(time_s))) for time_s in times_s)
+    return [example for example in found if example is not None]
+
+
+def twin_examples(seed: int) -> list[Example]:
+    """An individual of the virtual box every few hours."""
+    rng = np.random.default_rng(seed)
+    hours, every_s = rng.uniform(60, HOURS), rng.uniform(5, 8) * 3600.0
+    run = twin_run(seed, hours=float(hours), every_s=float(every_s), schedule=f"{rng.integers(2, 13)}h")
+    finder = PlantFinder(from_background(_decoded(run.background)), run.camera, PathSettings())
+    found = (photographed(finder, run.camera, frame) for frame in run.frames())
+    return [example for example in found if example is not None]
+
+
+def write_examples(path: Path, examples: Sequence[Example]) -> None:
+    """Keep some, whole or not at all."""
+    arrays = {f"{name}{k}": getattr(one, name) for k, one in enumerate(examples) for name in Example.__slots__}
+    with files.atomic_writer(path) as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_examples(path: Path) -> list[Example]:
+    """Those that were kept."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return [
+            Example(*(arrays[f"{name}{k}"] for name in Example.__slots__))
+            for k in range(len(arrays.files) // len(Example.__slots__))
+        ]
+
+
+def _decoded(jpegs: Sequence[bytes]) -> Iterator[Bytes]:
+    for jpeg in jpegs:
+        yield np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)

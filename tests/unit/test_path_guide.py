@@ -1,0 +1,164 @@
+"""The network that tells where stem and apex are: its sums, its ways, and what it has learnt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import pytest
+
+from flora_common.geometry import FloatArray
+from flora_common.vision.path import convolutions, guide
+from flora_common.vision.path.convolutions import EXACT, HEAD, LAYERS, MOST, Layer, Network, convolved
+from flora_common.vision.path.evidence import Evidence
+from guide.canvas import PX_PER_CM
+from guide.examples import Example
+from guide.wild import wild_example
+
+HELD_OUT: Final = range(2_000_000, 2_000_030)
+"""Wild plants that were not learnt from."""
+
+
+def by_hand(weight: FloatArray, x: FloatArray, stride: int, dilation: int) -> FloatArray:
+    """A convolution as it is written down, in whole numbers."""
+    out, _, side, _ = weight.shape
+    around = dilation * (side // 2)
+    padded = np.pad(x.astype(np.int64), ((0, 0), (around, around), (around, around)))
+    height, width = (n // stride for n in x.shape[1:])
+    result = np.zeros((out, height, width), np.int64)
+    for row in range(height):
+        for column in range(width):
+            y, z = row * stride, column * stride
+            part = padded[:, y : y + dilation * side : dilation, z : z + dilation * side : dilation]
+            result[:, row, column] = (weight.astype(np.int64) * part).sum(axis=(1, 2, 3))
+    return result
+
+
+@pytest.mark.parametrize(("side", "stride", "dilation"), [(3, 1, 1), (3, 2, 1), (3, 1, 2), (3, 1, 4), (1, 1, 1)])
+def test_sums_are_exact(side: int, stride: int, dilation: int) -> None:
+    rng = np.random.default_rng(1)
+    weight = rng.integers(-900, 900, (5, 7, side, side)).astype(np.float32)
+    x = rng.integers(0, int(MOST) + 1, (7, 12, 16)).astype(np.float32)
+    found = convolved(weight, x, stride=stride, dilation=dilation)
+    assert np.array_equal(found.astype(np.int64), by_hand(weight, x, stride, dilation))
+
+
+def test_a_large_picture_is_summed_in_bands_to_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    weight = rng.integers(-900, 900, (4, 3, 3, 3)).astype(np.float32)
+    x = rng.integers(0, int(MOST) + 1, (3, 40, 24)).astype(np.float32)
+    for stride, dilation in ((1, 1), (2, 1), (1, 4)):
+        whole = convolved(weight, x, stride=stride, dilation=dilation)
+        with monkeypatch.context() as patch:
+            patch.setattr(convolutions, "MOST_TAPS", 3000)
+            assert np.array_equal(convolved(weight, x, stride=stride, dilation=dilation), whole)
+
+
+def test_the_same_picture_gives_the_same_bits_wherever_it_lies_in_memory() -> None:
+    picture = np.random.default_rng(2).integers(0, 256, (4, 64, 80)).astype(np.float32)
+    first = guide.network()(picture)
+    for off in range(1, 16):
+        room = np.zeros(picture.size + 16, np.float32)
+        moved = room[off : off + picture.size].reshape(picture.shape)
+        moved[:] = picture
+        assert guide.network()(moved).tobytes() == first.tobytes()
+
+
+def layer(**changed: object) -> Layer:
+    """One that is well, but for what is changed."""
+    arrays = {
+        "weight": np.ones((2, 3, 3, 3), np.float32),
+        "factor": np.ones(2, np.float32),
+        "shift": np.zeros(2, np.float32),
+    }
+    return Layer(**{**arrays, **changed})
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"weight": np.full((2, 3, 3, 3), 0.5, np.float32)}, "whole"),
+        ({"weight": np.full((2, 3, 3, 3), EXACT / MOST / 26, np.float32)}, "exact"),
+        ({"shift": np.full(2, np.nan, np.float32)}, "none"),
+        ({"factor": np.ones(3, np.float32)}, "fit together"),
+    ],
+)
+def test_a_layer_that_cannot_be_summed_exactly_is_refused(changed: dict[str, object], reason: str) -> None:
+    layer()
+    with pytest.raises(ValueError, match=reason):
+        layer(**changed)
+
+
+def test_a_network_without_one_of_its_layers_is_refused() -> None:
+    layers = {name: layer() for name in (*LAYERS, HEAD) if name != "d1"}
+    with pytest.raises(ValueError, match="d1 is missing"):
+        Network(layers)
+
+
+def seen(example: Example) -> Evidence:
+    """The evidence of an example, somewhere in a larger picture."""
+    return Evidence((40, 60), example.plant.astype(np.float32), example.code, 1.0)
+
+
+def maps_of(evidence: Evidence) -> guide.Maps:
+    return guide.Maps(evidence, PX_PER_CM, np.array(evidence.origin_px), guide.SEEN_CM)
+
+
+def test_more_light_on_everything_changes_nothing_that_the_network_is_shown() -> None:
+    evidence = seen(wild_example(HELD_OUT[0]))
+    code = np.clip(evidence.code, 30, 200)
+    both = [replace(evidence, code=code + k) for k in (0, 25)]
+    dark, bright = (guide.network_input(one, guide.mean_colour(one), (90, 70)) for one in both)
+    assert np.abs(dark - bright).max() <= 1.0
+
+
+def test_the_cheapest_way_goes_along_a_stem_and_round_its_bend() -> None:
+    """Two bands from the anchor: one goes up and comes down again, the other is a straight one of nothing."""
+    maps = maps_of(seen(wild_example(HELD_OUT[0])))
+    height, width = 60, 50
+    stem, apex = np.full((height, width), 1e-3), np.full((height, width), 1e-4)
+    stem[10:56, 12], stem[10, 12:40], stem[10:41, 40] = 0.9, 0.9, 0.9
+    apex[40, 40] = 0.7
+    maps.stem, maps.apex = stem, apex
+    anchor = maps.to_px(np.array([12.0, 55.0]))
+    (way,) = guide.ways(maps, anchor)
+    assert np.allclose(way.line_px[0], anchor)
+    assert np.hypot(*(way.tip_px - maps.to_px(np.array([40.0, 40.0])))) < PX_PER_CM / 10
+    corner = maps.to_px(np.array([12.0, 10.0]))
+    assert np.hypot(*(way.line_px - corner).T).min() < 0.3 * PX_PER_CM
+    assert 0.5 < way.sure < 0.7
+
+
+def test_an_apex_behind_a_gap_is_less_sure_than_one_on_the_stem() -> None:
+    maps = maps_of(seen(wild_example(HELD_OUT[0])))
+    stem, apex = np.full((60, 50), 1e-3), np.full((60, 50), 1e-4)
+    stem[20:56, 12], stem[5:30, 40] = 0.9, 0.9
+    apex[20, 12], apex[5, 40] = 0.4, 0.8
+    maps.stem, maps.apex = stem, apex
+    ways = guide.ways(maps, maps.to_px(np.array([12.0, 55.0])))
+    assert [round(float(one.tip_px[0])) for one in ways] == [
+        round(float(maps.to_px(np.array([x, 0.0]))[0])) for x in (12.0, 40.0)
+    ]
+
+
+def test_wild_plants_that_were_not_learnt_from_are_seen() -> None:
+    """Beside a trivial answer, the plant's place that is farthest from the anchor."""
+    off_cm, trivial_cm, line_cm = [], [], []
+    for seed in HELD_OUT:
+        example = wild_example(seed)
+        evidence = seen(example)
+        line = example.line + evidence.origin_px
+        best = guide.everywhere(evidence, line[0].astype(np.float64), PX_PER_CM)[0]
+        off_cm.append(float(np.hypot(*(best.tip_px - line[-1]))) / PX_PER_CM)
+        rows, columns = np.nonzero(example.plant)
+        away = np.hypot(columns - example.line[0, 0], rows - example.line[0, 1])
+        far = int(np.argmax(away))
+        trivial_cm.append(
+            float(np.hypot(columns[far] - example.line[-1, 0], rows[far] - example.line[-1, 1])) / PX_PER_CM
+        )
+        apart = np.hypot(*(best.line_px[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1)
+        line_cm.append(float(np.median(apart)) / PX_PER_CM)
+    assert np.median(off_cm) < 0.3
+    assert np.median(off_cm) < 0.2 * np.median(trivial_cm)
+    assert np.median(line_cm) < 0.06
