@@ -169,6 +169,8 @@ class Fitter:
         late = count >= (ASTRAY_BELIEVED if followed.is_known else STEPS_BELIEVED)
         if near is not None:
             there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
+            if there is not None and fit.way is not None and along_way.agrees(fit.way, there[0], scale):
+                return fit, 0
             if there is not None:
                 return replace(fit, tip=there[1], reached=there[0], sure_px=near.sure_px, held=True), count + 1
         if not late:
