@@ -14,7 +14,8 @@ Colour = npt.NDArray[np.floating]
 """Blue, green, red in logarithmic code, shape (3,)."""
 
 PX_PER_CM: Final = 20.0
-_SHIFT: Final = 4
+SHIFT: Final = 4
+"""Bits of a pixel's fraction in what OpenCV draws."""
 _SHAPES: Final = {"ovate": 0.35, "elliptic": 0.5, "heart": 0.25, "linear": 0.5, "obovate": 0.65}
 SHAPES: Final = tuple(_SHAPES)
 """Of blades, by where they are widest."""
@@ -24,7 +25,7 @@ _BLADE_POINTS: Final = 24
 
 def corners(places: Floats) -> list[npt.NDArray[np.int32]]:
     """Places (n, 2) as OpenCV draws them to a sixteenth of a pixel."""
-    return [np.round(np.asarray(places) * (1 << _SHIFT)).astype(np.int32)]
+    return [np.round(np.asarray(places) * (1 << SHIFT)).astype(np.int32)]
 
 
 def patches(rng: np.random.Generator, shape: tuple[int, int], cell_px: float, size: float) -> Floats:
@@ -59,7 +60,7 @@ class Canvas:
     def shadow(self, line: Floats, width_px: int, blur_px: float, depth: float) -> None:
         """A stem's shadow: darker by so many code units."""
         mask = np.zeros(self.shape, np.uint8)
-        cv2.polylines(mask, corners(line), False, 255, width_px, cv2.LINE_8, _SHIFT)
+        cv2.polylines(mask, corners(line), False, 255, width_px, cv2.LINE_8, SHIFT)
         self.code -= cv2.GaussianBlur(mask, (0, 0), blur_px)[..., None].astype(np.float32) / 255.0 * depth
 
     def band(
@@ -95,7 +96,7 @@ class Canvas:
                 ),
                 255,
                 cv2.LINE_8,
-                _SHIFT,
+                SHIFT,
             )
             for third in range(3):
                 low, high = third / 3 - 0.5, (third + 1) / 3 - 0.5
@@ -106,10 +107,10 @@ class Canvas:
                     there + across[k + 1] * low,
                 ]
                 lit = colour(k / (len(line) - 1)) + shade * (third - 1)
-                cv2.fillPoly(painted, corners(np.array(part)), lit.tolist(), cv2.LINE_8, _SHIFT)
+                cv2.fillPoly(painted, corners(np.array(part)), lit.tolist(), cv2.LINE_8, SHIFT)
         end = tuple(int(v) for v in corners(line[-1:])[0][0])
         for canvas, value in ((mask, 255), (painted, colour(1.0).tolist())):
-            cv2.circle(canvas, end, int(width[-1] / 2 * (1 << _SHIFT)), value, -1, cv2.LINE_8, _SHIFT)
+            cv2.circle(canvas, end, int(width[-1] / 2 * (1 << SHIFT)), value, -1, cv2.LINE_8, SHIFT)
         self._lay(mask, painted, 1.0)
 
     def blade(
@@ -156,19 +157,19 @@ class Canvas:
 
     def _veins(self, rng: np.random.Generator, middle: Floats, aside: Floats, length_cm: float, colour: Colour) -> None:
         mask = np.zeros(self.shape, np.uint8)
-        cv2.polylines(mask, corners(middle[:-2]), False, 255, int(rng.integers(1, 3)), cv2.LINE_8, _SHIFT)
+        cv2.polylines(mask, corners(middle[:-2]), False, 255, int(rng.integers(1, 3)), cv2.LINE_8, SHIFT)
         self._lay(mask, colour, 0.6)
         if length_cm > 2.0 and rng.random() < 0.6:
             mask[:] = 0
             for k in range(3, _BLADE_POINTS - 4, 3):
                 for side in (0.8, -0.8):
                     vein = np.array([middle[k], middle[k + 3] + side * aside[k + 3]])
-                    cv2.polylines(mask, corners(vein), False, 255, 1, cv2.LINE_8, _SHIFT)
+                    cv2.polylines(mask, corners(vein), False, 255, 1, cv2.LINE_8, SHIFT)
             self._lay(mask, colour, 0.4)
 
     def _fill(self, outline: Floats, colour: Colour) -> None:
         mask = np.zeros(self.shape, np.uint8)
-        cv2.fillPoly(mask, corners(outline), 255, cv2.LINE_8, _SHIFT)
+        cv2.fillPoly(mask, corners(outline), 255, cv2.LINE_8, SHIFT)
         self._lay(mask, colour + self._grain, 1.0)
 
     def _lay(self, mask: npt.NDArray[np.uint8], colour: Floats, share: float) -> None:

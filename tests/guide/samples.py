@@ -9,7 +9,7 @@ import numpy as np
 
 from flora_common.vision.path.convolutions import MOST
 from flora_common.vision.path.guide import CODE_STEP, EVIDENCE_STEP, INPUT_PX_PER_CM, IS_PLANT, LEAST_PLANT_PX
-from guide.canvas import PX_PER_CM, Floats, corners
+from guide.canvas import PX_PER_CM, SHIFT, Floats, corners
 from guide.examples import Example
 
 SIDE: Final = 160
@@ -20,7 +20,6 @@ ASIDE_PX: Final = 55.0
 TURN_DEG: Final = 15.0
 STEM_PX, APEX_PX = 1.2, 1.3
 """Standard deviation of what is wanted about the stem's middle and the apex, px of the maps."""
-_SHIFT: Final = 4
 
 
 def sample(example: Example, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -41,7 +40,7 @@ def wanted(line: Floats) -> Floats:
     """The maps of a stem, shape (n, 2), px of the maps; shape (2, SIDE / 2, SIDE / 2)."""
     half = SIDE // 2
     drawn = np.full((half, half), 255, np.uint8)
-    cv2.polylines(drawn, corners(np.clip(line, -500.0, 500.0)), False, 0, 1, cv2.LINE_8, _SHIFT)
+    cv2.polylines(drawn, corners(np.clip(line, -500.0, 500.0)), False, 0, 1, cv2.LINE_8, SHIFT)
     away = np.minimum(cv2.distanceTransform(drawn, cv2.DIST_L2, 5), 100.0)
     rows, columns = np.indices((half, half))
     to_apex = (columns - line[-1, 0]) ** 2 + (rows - line[-1, 1]) ** 2

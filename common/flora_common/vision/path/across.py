@@ -39,9 +39,7 @@ def measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sample
     """The stem's middle at each s up to ``apex_from`` by its edges or by a ridge."""
     upto = int(np.searchsorted(s, apex_from, side="right"))
     some, normal, width = line[:upto], normals(line)[:upto], width[:upto]
-    reach = 1.6 * float(width.max()) + 2.0
-    offset = np.arange(-reach, reach + 0.25, 0.5)
-    x, y = (some[:, k, None] + offset * normal[:, k, None] for k in range(2))
+    offset, x, y = _places(some, normal, 1.6 * float(width.max()) + 2.0)
     left, right, there = _edges(sampler.plant_at(x, y), offset)
     half = 0.5 * width
     # each edge by itself says where the middle is; beside a leaf only one of them is the stem's
@@ -69,12 +67,17 @@ def measured(line: FloatArray, s: FloatArray, width: FloatArray, sampler: Sample
 
 def bare_width(line: FloatArray, widest_px: float, sampler: Sampler) -> float:
     """How wide the plant is across a line where it is bare stem, px; NaN where no two edges are seen."""
-    offset = np.arange(-widest_px, widest_px + 0.25, 0.5)
-    normal = normals(line)
-    x, y = (line[:, k, None] + offset * normal[:, k, None] for k in range(2))
+    offset, x, y = _places(line, normals(line), widest_px)
     left, right, there = _edges(sampler.plant_at(x, y), offset)
     width = (right - left)[there]
     return float(np.percentile(width, BARE_PERCENTILE)) if width.size else math.nan
+
+
+def _places(line: FloatArray, normal: FloatArray, reach_px: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Offsets across a line (n, 2) every half pixel, shape (m,), and x and y of these places, shape (n, m)."""
+    offset = np.arange(-reach_px, reach_px + 0.25, 0.5)
+    x, y = (line[:, k, None] + offset * normal[:, k, None] for k in range(2))
+    return offset, x, y
 
 
 def _edges(plant: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -184,17 +184,12 @@ class PathTracker:
             return no_stem(fit)
         fit, elsewhere = self._fitter.held(fit, sight, sampler, past)
         near = nearby.after(fit.reached, fit.sure_px, evidence, is_guided=fit.way is not None)
-        again, tip = nearby.found(fit.reached.line, near, sampler, scale, before)
-        same = math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale
-        if (
-            same
-            and fit.chain is not None
-            and before is not None
-            and self._likeness is not None
-            and near.bends_from_px is None
-        ):
-            # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
-            fit = replace(fit, reached=again, tip=tip)
+        by_rules = fit.chain is not None and before is not None and self._likeness is not None
+        if by_rules and near.bends_from_px is None:
+            again, tip = nearby.found(fit.reached.line, near, sampler, scale, before)
+            if math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale:
+                # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
+                fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s)
         final, apex = self._ended(fit.reached, fit.tip, followed, belief)
         told = self._fitter.judged(fit, final, sight, sampler, past)
