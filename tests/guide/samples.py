@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flora_common.vision.path.convolutions import MOST
-from flora_common.vision.path.guide import CODE_STEP, EVIDENCE_STEP, INPUT_PX_PER_CM, IS_PLANT, LEAST_PLANT_PX
+from flora_common.vision.path.guide import CODE_STEP, INPUT_PX_PER_CM, IS_PLANT, LEAST_PLANT_PX, in_steps
 from guide.canvas import PX_PER_CM, SHIFT, Floats, corners
 from guide.examples import Example
 
@@ -49,12 +49,11 @@ def wanted(line: Floats) -> Floats:
 
 
 def _input(example: Example) -> Floats:
-    """As :func:`flora_common.vision.path.guide.network_input`, before it is scaled."""
+    """As :func:`flora_common.vision.path.guide.network_input`, before it is whole and at the network's scale."""
     plant, code = example.plant.astype(np.float32), example.code.astype(np.float32)
     there = plant > IS_PLANT
     known = code[there] if np.count_nonzero(there) > LEAST_PLANT_PX else code.reshape(-1, 3)
-    off = (code - known.mean(axis=0)) / CODE_STEP + 0.5 * MOST
-    return np.clip(np.dstack([plant / EVIDENCE_STEP, off]), 0.0, MOST)
+    return in_steps(plant, code, known.mean(axis=0))
 
 
 def _moved(line: Floats, rng: np.random.Generator) -> Floats:

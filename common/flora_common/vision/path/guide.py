@@ -160,9 +160,17 @@ def network_input(evidence: Evidence, colour: Float32Array, size: tuple[int, int
     how = cv2.INTER_AREA if size[0] < evidence.plant.shape[1] else cv2.INTER_LINEAR
     plant = cv2.resize(evidence.plant, size, interpolation=how)
     code = np.asarray(cv2.resize(evidence.code, size, interpolation=how), dtype=np.float32)
+    shown = in_steps(np.asarray(plant, dtype=np.float32), code, colour)
+    return np.ascontiguousarray(np.rint(shown).transpose(2, 0, 1))
+
+
+def in_steps(plant: Float32Array, code: Float32Array, colour: Float32Array) -> Float32Array:
+    """Evidence and colours in steps of the network's input, shape (height, width, 4), cut to 0..255, not yet whole.
+
+    Training shows the network the same (``tests/guide``).
+    """
     off = (code - colour) / np.float32(CODE_STEP) + np.float32(0.5 * MOST)
-    both = np.concatenate([(plant / np.float32(EVIDENCE_STEP))[None], off.transpose(2, 0, 1)])
-    return np.asarray(np.rint(np.clip(both, 0.0, MOST)), dtype=np.float32)
+    return np.asarray(np.clip(np.dstack([plant / np.float32(EVIDENCE_STEP), off]), 0.0, MOST), dtype=np.float32)
 
 
 def everywhere(evidence: Evidence, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]:
