@@ -244,11 +244,19 @@ def _calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
     return float(sum(gaps) / len(confidence))
 
 
-def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[float, int]:
+def gain_share(
+    outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_base: bool = False
+) -> tuple[float, int]:
     """What the claims gained at the run's end, as a share of what the oracle gains, pooled; and over how many cases.
 
     Both are root mean squares of the tip's distance, in mm. A diagnosis takes part where ``gain.free_running.end``
     gives ``base_rms`` and ``extended_rms``.
+
+    Args:
+        outcomes: of the cases.
+        whose: plant of the oracle's.
+        from_one_base: the oracle begins at the error of the base that the diagnosis extends, which was learned from
+            few plants, and not at that of the true typical plant without the effect.
     """
     gained = possible = 0.0
     cases = 0
@@ -261,7 +269,7 @@ def gain_share(outcomes: Sequence[Outcome], whose: str = "typical") -> tuple[flo
         if base is None or extended is None:
             continue
         gained += float(base) - float(extended)
-        possible += oracle["base_mm"] - oracle["extended_mm"]
+        possible += (float(base) if from_one_base else oracle["base_mm"]) - oracle["extended_mm"]
         cases += 1
     return (gained / possible if possible > 0.0 else math.nan), cases
 

@@ -28,6 +28,10 @@ SECONDS = (
     (False, "seconds per case, base given", "< 60"),
 )
 """On one core."""
+GAINS = (
+    (False, "gain at the end, share of the oracle's"),
+    (True, "the same, both from the base that was extended"),
+)
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,10 @@ def _summary(outcomes: Sequence[Outcome]) -> Table:
         exact = calibration_error_by_chance(outcomes)
         told = f"{claims:.3f}; {exact:.3f} if they were exact"
         rows.append(("calibration error of confidences", "both", told, "<= 0.08"))
-    gained, cases = gain_share(outcomes)
-    if not math.isnan(gained):
-        rows.append(("gain at the end, share of the oracle's", "both", f"{gained:.2f} ({cases} cases)", ">= 0.90"))
+    for from_one_base, what in GAINS:
+        gained, cases = gain_share(outcomes, from_one_base=from_one_base)
+        if not math.isnan(gained):
+            rows.append((what, "both", f"{gained:.2f} ({cases} cases)", ">= 0.90"))
     failed = share(o.diagnosis is None for o in outcomes)
     if failed.count:
         rows.append(("failed", "both", str(failed), "0"))

@@ -143,11 +143,14 @@ def test_few_exact_claims_have_a_calibration_error_of_their_own() -> None:
 
 
 def test_gain_is_pooled_over_right_claims() -> None:
-    def gained(extended: float, effect: str = "sag") -> Outcome:
-        end = {"base_rms": 10.0, "extended_rms": extended}
+    def gained(extended: float, effect: str = "sag", base: float = 10.0) -> Outcome:
+        end = {"base_rms": base, "extended_rms": extended}
         return outcome("single", SAG, "explained", cause(effect), gain={"free_running": {"end": end}})
 
     assert gain_share([gained(6.0), gained(8.0), gained(99.0, "draught")]) == (pytest.approx(6.0 / 8.0), 2)
+    better = [gained(7.0, base=8.0)]
+    assert gain_share(better)[0] == pytest.approx(1.0 / 4.0)
+    assert gain_share(better, from_one_base=True) == (pytest.approx(1.0 / 2.0), 1)
     value, cases = gain_share([outcome("single", SAG, "explained", cause("sag"))])
     assert math.isnan(value)
     assert cases == 0

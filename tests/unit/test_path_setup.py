@@ -10,6 +10,7 @@ from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup, coarse_code, from_background, from_frames, log_code
 from flora_common.vision.path.evidence import PlantFinder
+from flora_common.vision.path.likeness import USUAL
 from flora_common.vision.path.settings import PathSettings
 
 WIDTH, HEIGHT = 480, 360
@@ -137,7 +138,26 @@ def test_a_picture_moved_by_half_a_pixel_has_no_more_evidence_on_the_board() -> 
 def test_what_differs_everywhere_is_told() -> None:
     picture = photograph("left", number=50)
     picture[:200, :150] = np.random.default_rng(2).integers(0, 256, (200, 150, 3))
-    assert finder().find(picture).changed > 0.05
+    assert finder().find(picture).changed > 4.0 * USUAL.changed
+
+
+def test_noise_of_a_dark_board_is_no_change_and_a_change_on_the_bright_one_beside_it_is() -> None:
+    """In logarithmic code noise of the dark is several times that of the bright."""
+    surface = np.full((HEIGHT, WIDTH, 3), 120.0, np.float32)
+    surface[:, : WIDTH // 2] = 6.0
+
+    def taken(number: int) -> np.ndarray:
+        noise = cv2.GaussianBlur(np.random.default_rng(number).normal(0.0, 22.0, surface.shape), (0, 0), 2.5)
+        return np.clip(np.rint(surface + noise), 0, 255).astype(np.uint8)
+
+    plants = PlantFinder(from_background([taken(1)]), CAMERA, PathSettings())
+    picture = taken(2)
+    off = np.abs(coarse_code(picture).astype(int) - coarse_code(taken(1))).max(axis=2)
+    assert (off[:, : WIDTH // 8] > 40).mean() > 0.02
+    assert plants.find(picture).changed < 0.2 * USUAL.changed
+    picture[40:140, 300:460] = 255 - picture[40:140, 300:460]
+    picture[40:140, 300:460] //= 3
+    assert plants.find(picture).changed > 4.0 * USUAL.changed
 
 
 def test_a_window_limits_where_the_plant_is_looked_for_and_an_impossible_one_is_refused() -> None:

@@ -15,7 +15,7 @@ from flora_common.vision.path.apex import drawn_to
 from flora_common.vision.path.chain import RIVAL_CM, Before
 from flora_common.vision.path.curve import STEP_PX, Stem
 from flora_common.vision.path.guide import Way
-from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler, arc_length, places_along
 from flora_common.vision.path.tip import Tip, find_tip
 
 USABLE: Final = 0.08
@@ -131,7 +131,7 @@ def stem_along(way: Way, sampler: Sampler, px_per_cm: float) -> tuple[Stem, Tip]
 def _width(line: FloatArray, s: FloatArray, sampler: Sampler, px_per_cm: float) -> float:
     """The stem's width along the lower part of the way, px."""
     low = np.arange(0.0, max(2.0, LOWER * s[-1]), STEP_PX)
-    places = np.column_stack([np.interp(low, s, line[:, k]) for k in range(2)])
+    places = places_along(line, s, low)
     width = across.bare_width(places, WIDEST_CM * px_per_cm, sampler)
     return width if width > LEAST_WIDTH_PX else LEAST_WIDTH_PX
 
@@ -141,7 +141,7 @@ def _bends_from(line: FloatArray, s: FloatArray, px_per_cm: float) -> float:
     even = np.arange(0.0, s[-1], TURNS_STEP_CM * px_per_cm)
     if len(even) < 6:
         return math.inf
-    at = np.column_stack([np.interp(even, s, line[:, k]) for k in range(2)])
+    at = places_along(line, s, even)
     reach = 2
     step = at[reach:] - at[:-reach]
     angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))

@@ -18,7 +18,7 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path import spline
 from flora_common.vision.path.across import Across, measured
 from flora_common.vision.path.chain import Chain
-from flora_common.vision.path.sampler import BoolArray, Sampler, arc_length
+from flora_common.vision.path.sampler import BoolArray, Sampler, arc_length, places_along
 from flora_common.vision.path.spline import Smoother, Spline
 from flora_common.vision.path.survey import median
 
@@ -65,7 +65,7 @@ def along_chain(chain: Chain, sampler: Sampler, px_per_cm: float) -> Stem:
     """The smooth line of a chain of pieces."""
     s_raw = arc_length(chain.points)
     s = _steps(s_raw[-1])
-    rough = np.column_stack([np.interp(s, s_raw, chain.points[:, k]) for k in range(2)])
+    rough = places_along(chain.points, s_raw, s)
     k = np.clip(np.searchsorted(s_raw, s, side="left"), 1, len(s_raw) - 1)
     on_piece = (chain.piece[k] == chain.piece[k - 1]) & (chain.piece[k] >= 0)
     return _refined(rough, on_piece, skeleton_width(chain, s_raw)(s), sampler, px_per_cm)
@@ -93,7 +93,7 @@ def along_line(
     """
     s_raw = arc_length(line)
     s = _steps(min(upto_px, float(s_raw[-1])))
-    rough = np.column_stack([np.interp(s, s_raw, line[:, k]) for k in range(2)])
+    rough = places_along(line, s_raw, s)
     width = np.interp(s, [0.0, s_raw[-1]], width_px)
     known = np.ones(len(s), dtype=np.bool_)
     return _refined(rough, known, width, sampler, px_per_cm, bends_from=bends_from, unseen_cm=unseen_cm)
@@ -153,7 +153,7 @@ def _going_on(stem: Stem, safe: int, beyond: FloatArray) -> tuple[FloatArray, Bo
     keep = np.concatenate([[True], np.diff(s_raw) > 1e-6])
     raw, s_raw = raw[keep], s_raw[keep]
     s = _steps(s_raw[-1])
-    rough = np.column_stack([np.interp(s, s_raw, raw[:, k]) for k in range(2)])
+    rough = places_along(raw, s_raw, s)
     old = arc_length(stem.line)
     known = np.interp(s, old[: safe + 1], stem.seen[: safe + 1].astype(float)) > 0.5
     return rough, known | (s > old[safe]), np.interp(s, old, stem.width), float(old[safe])

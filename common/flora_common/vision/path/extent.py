@@ -11,7 +11,7 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.curve import STEP_PX, Stem
-from flora_common.vision.path.sampler import arc_length
+from flora_common.vision.path.sampler import arc_length, places_along
 from flora_common.vision.path.tip import Tip
 
 FLOOR_MM: Final = 0.1
@@ -24,7 +24,7 @@ def as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
     if wanted_px <= s[-1] or not len(tip.onwards):
         wanted_px = min(wanted_px, s[-1])
         keep = max(4, int(np.searchsorted(s, wanted_px)))
-        end = np.array([[np.interp(wanted_px, s, stem.line[:, k]) for k in range(2)]])
+        end = places_along(stem.line, s, np.array([wanted_px]))
         line = np.concatenate([stem.line[:keep], end])
         pick = np.minimum(np.arange(len(line)), len(s) - 1)
         deviation, seen = stem.deviation[pick], stem.seen[pick]
@@ -36,7 +36,7 @@ def as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:
         # in steps as long as those of the line, and the last one shorter
         at = np.append(np.arange(s[-1] + STEP_PX, wanted_px, STEP_PX), wanted_px)
         at = at[at <= further[-1]]
-        line = np.concatenate([stem.line, np.column_stack([np.interp(at, further, more[:, k]) for k in range(2)])])
+        line = np.concatenate([stem.line, places_along(more, further, at)])
         extra = len(line) - len(stem.line)
         grown = stem.deviation[-1] + 0.15 * (arc_length(line)[-extra:] - s[-1]) if extra else np.zeros(0)
         deviation = np.concatenate([stem.deviation, grown])
@@ -58,7 +58,7 @@ def by_arc(line_cm: FloatArray) -> FloatArray:
     """Ten points evenly spaced along the stem."""
     s = arc_length(line_cm)
     even = np.linspace(0.0, s[-1], STEM_POINTS)
-    return np.column_stack([np.interp(even, s, line_cm[:, k]) for k in range(2)])
+    return places_along(line_cm, s, even)
 
 
 def uncertainty_mm(stem: Stem, line_cm: FloatArray, points: FloatArray, tip_mm: float, px_per_cm: float) -> FloatArray:

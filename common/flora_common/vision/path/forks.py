@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import arc_length, normals
+from flora_common.vision.path.sampler import arc_length, normals, places_along
 from flora_common.vision.path.strands import Strands
 
 STEP_CM: Final = 0.1
@@ -76,7 +76,7 @@ def petiole_from(line: FloatArray, strands: Strands, px_per_cm: float) -> float:
     at = np.arange(0.0, s[-1], STEP_CM * px_per_cm)
     if at[-1] < (LOWEST_CM + LEAST_AHEAD_CM) * px_per_cm:
         return math.inf
-    places = np.column_stack([np.interp(at, s, line[:, k]) for k in range(2)])
+    places = places_along(line, s, at)
     at_cm, end_cm = at / px_per_cm, float(s[-1]) / px_per_cm
     width = _widths(places, strands, px_per_cm)
     beside = _beside(line, places, float(np.percentile(width[at_cm > 0.5 * LOWEST_CM], 30)), strands, px_per_cm)

@@ -63,7 +63,8 @@ class Way:
         tip_px: the likeliest apex, (x, y) px of the full picture.
         sure: 0..1, how likely it is, and the way to it where that is least likely.
         line_px: shape (n, 2), from the anchor to it, px of the full picture.
-        along: shape (n,), how likely each of these places is the stem's middle.
+        along: how likely the steps of the cheapest way there are the stem's middle; empty of a known stem that is only
+            drawn to its apex.
     """
 
     tip_px: FloatArray
@@ -228,11 +229,7 @@ def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
     pixel = maps.nearest_peak(line_px[-1], NEAR_CM * px_per_cm)
     tip, sure = maps.about(pixel), float(maps.apex[pixel])
     line = drawn_to(line_px, tip, SECTION_CM * px_per_cm)
-    columns, rows = (
-        np.clip(np.rint(v).astype(int), 0, n - 1)
-        for v, n in zip(maps.from_px(line).T, maps.stem.shape[::-1], strict=True)
-    )
-    return Way(tip, sure, line, maps.stem[rows, columns])
+    return Way(tip, sure, line, np.zeros(0))
 
 
 def _centred(likely: FloatArray, way: IntArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler, arc_length, places_along
 
 STEP_CM: Final = 0.05
 """The line is looked at in steps of this length."""
@@ -81,4 +81,4 @@ def _back_from_end(line: FloatArray, px_per_cm: float, most_cm: float) -> tuple[
     """Places along a line in even steps back from its end, shape (m, 2), and how far from it they are, px."""
     s = arc_length(line)
     from_end = px_per_cm * np.arange(0.0, min(most_cm, float(s[-1]) / px_per_cm), STEP_CM)
-    return np.column_stack([np.interp(s[-1] - from_end, s, line[:, k]) for k in range(2)]), from_end
+    return places_along(line, s, s[-1] - from_end), from_end

@@ -84,3 +84,8 @@ def normals(line: FloatArray) -> FloatArray:
 def arc_length(line: FloatArray) -> FloatArray:
     """Distance along a line (n, 2) from its first point, shape (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+
+
+def places_along(line: FloatArray, s: FloatArray, at: FloatArray) -> FloatArray:
+    """Places at some distances along a line (n, 2), whose own points lie at distances ``s``; shape (len(at), 2)."""
+    return np.column_stack([np.interp(at, s, line[:, k]) for k in range(2)])

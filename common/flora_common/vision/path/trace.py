@@ -14,7 +14,7 @@ import numpy as np
 
 from flora_common.geometry import FloatArray
 from flora_common.vision.path.across import HALF
-from flora_common.vision.path.sampler import LEAF_GREENER, BoolArray, Sampler, arc_length
+from flora_common.vision.path.sampler import LEAF_GREENER, BoolArray, Sampler, arc_length, places_along
 
 STEP_WIDTHS: Final = 0.35
 FITTED_WIDTHS, LEAST_FITTED_PX = 2.5, 8.0
@@ -63,7 +63,7 @@ def traced(line: FloatArray, width: float, sampler: Sampler, px_per_cm: float) -
     at = at[at >= 0.0]
     if len(at) < 4:
         return np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
-    places = [np.array([np.interp(v, s, line[:, k]) for k in range(2)]) for v in at]
+    places = list(places_along(line, s, at))
     along = step * np.arange(1 - len(places), 1)
     fit = np.linalg.pinv(np.stack([np.ones_like(along), along, along**2], axis=1))
     offset = np.arange(-1.5 * width - 2.0, 1.5 * width + 2.25, 0.5)
