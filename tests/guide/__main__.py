@@ -67,9 +67,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/guide"))
     parser.add_argument("--drawings", type=int, default=400, help="drawn individuals, eight pictures each (400)")
     parser.add_argument("--twins", type=int, default=60, help="individuals of the virtual box (60)")
-    parser.add_argument("--wild", type=int, default=120, help=f"times {WILD_PER_FILE} wild plants (120)")
+    parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
-    parser.add_argument("--steps", type=int, default=16_000, help="of training (16000)")
+    parser.add_argument("--steps", type=int, default=24_000, help="of training (24000)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     folder = options.out / "examples"

@@ -50,10 +50,12 @@ class Canvas:
 
     Attributes:
         code: the picture so far.
+        covered: shape (height, width), 0..1, where a plant has been painted.
     """
 
     def __init__(self, empty: Floats, grain: Floats) -> None:
         self.code = empty.astype(np.float32)
+        self.covered = np.zeros(empty.shape[:2], np.float32)
         self._grain = grain[..., None]
         self.shape = empty.shape[:2]
 
@@ -172,6 +174,11 @@ class Canvas:
         cv2.fillPoly(mask, corners(outline), 255, cv2.LINE_8, SHIFT)
         self._lay(mask, colour + self._grain, 1.0)
 
+    def lit(self, light: Floats) -> None:
+        """More or less light on what has been painted, shape (height, width, 1 or 3), code units."""
+        self.code += self.covered[..., None] * light.astype(np.float32)
+
     def _lay(self, mask: npt.NDArray[np.uint8], colour: Floats, share: float) -> None:
-        cover = (mask.astype(np.float32) / 255.0 * share)[..., None]
-        self.code += cover * (colour - self.code)
+        cover = mask.astype(np.float32) / 255.0 * share
+        np.maximum(self.covered, cover, out=self.covered)
+        self.code += cover[..., None] * (colour - self.code)

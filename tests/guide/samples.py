@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from flora_common.vision.path.convolutions import MOST
-from flora_common.vision.path.guide import CODE_STEP, INPUT_PX_PER_CM, IS_PLANT, LEAST_PLANT_PX, in_steps
+from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.path.guide import CODE_STEP, INPUT_PX_PER_CM, in_steps, mean_colour
 from guide.canvas import PX_PER_CM, SHIFT, Floats, corners
 from guide.examples import Example
 
@@ -28,9 +29,13 @@ def sample(example: Example, rng: np.random.Generator) -> tuple[Floats, Floats]:
     Returns:
         Input of the network, shape (4, SIDE, SIDE), and two maps, shape (2, SIDE / 2, SIDE / 2), both float32.
     """
-    seen = _input(example)
     place = _moved(example.line, rng)
-    seen = cv2.warpAffine(seen, place, (SIDE, SIDE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    plant, code = (
+        cv2.warpAffine(v, place, (SIDE, SIDE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for v in (example.plant, example.code)
+    )
+    colour = mean_colour(Evidence((0, 0), example.plant, example.code, 1.0))
+    seen = in_steps(plant.astype(np.float32), code.astype(np.float32), colour)
     line = example.line @ place[:, :2].T + place[:, 2]
     seen = _recoloured(seen, rng).transpose(2, 0, 1)
     return np.clip(seen, 0.0, MOST).astype(np.float32), wanted((line + 0.5) / 2.0 - 0.5)
@@ -46,14 +51,6 @@ def wanted(line: Floats) -> Floats:
     to_apex = (columns - line[-1, 0]) ** 2 + (rows - line[-1, 1]) ** 2
     maps = [np.exp(-0.5 * (away / STEM_PX) ** 2), np.exp(-0.5 * to_apex / APEX_PX**2)]
     return np.stack(maps).astype(np.float32)
-
-
-def _input(example: Example) -> Floats:
-    """As :func:`flora_common.vision.path.guide.network_input`, before it is whole and at the network's scale."""
-    plant, code = example.plant.astype(np.float32), example.code.astype(np.float32)
-    there = plant > IS_PLANT
-    known = code[there] if np.count_nonzero(there) > LEAST_PLANT_PX else code.reshape(-1, 3)
-    return in_steps(plant, code, known.mean(axis=0))
 
 
 def _moved(line: Floats, rng: np.random.Generator) -> Floats:
@@ -82,7 +79,8 @@ def _recoloured(seen: Floats, rng: np.random.Generator) -> Floats:
     if rng.random() < 0.3:
         both = cv2.GaussianBlur(both, (0, 0), float(rng.uniform(0.4, 1.3)))
     if rng.random() < 0.5:
-        both[..., 1:] += rng.normal(size=(SIDE, SIDE, 3)) * rng.uniform(0, 0.15) * unit
+        grain = rng.standard_normal((SIDE, SIDE, 3), dtype=np.float32)
+        both[..., 1:] += grain * np.float32(rng.uniform(0, 0.15) * unit)
     if rng.random() < 0.1:
         holes = (rng.random((8, 8)) > 0.1).astype(np.float32)
         both[..., 0] *= holes.repeat(SIDE // 8, axis=0).repeat(SIDE // 8, axis=1)

@@ -59,7 +59,8 @@ class Trained(nn.Module):
             x = torch.cat([levels.pop(), functional.interpolate(x, scale_factor=2, mode="nearest")], 1)
             for name in names:
                 x = self.layers[name](x)
-        return self.head(x)
+        with torch.autocast("cpu", enabled=False):
+            return self.head(x.float())
 
 
 def convolution(before: int, after: int, stride: int, dilation: int) -> nn.Sequential:
@@ -113,7 +114,9 @@ def train(
         size = min(1.0, step / WARM_UP) * (1.0 - step / steps) ** POWER + LEAST_RATE
         for group in optimiser.param_groups:
             group["lr"] = RATE * size
-        value = loss(net(seen.contiguous(memory_format=torch.channels_last)), wanted)
+        with torch.autocast("cpu", torch.bfloat16):  # a third less time where a processor has it
+            said = net(seen.contiguous(memory_format=torch.channels_last))
+        value = loss(said, wanted)
         optimiser.zero_grad()
         value.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 2.0)

@@ -25,6 +25,10 @@ BELOW_CM, HANGS_CM = 1.2, 3.0
 """So much below the anchor, or below a stem that hangs lower."""
 REACH_PX: Final = 25
 """What is nearer hangs together."""
+FORMS, SHARES_OF_FORMS = ("simple", "threefold", "pinnate"), (0.62, 0.23, 0.15)
+"""Of leaves, and how many are of each."""
+ROUND_END: Final = 0.4, 1.0
+"""A stem's end is round; its apex lies between these shares of its half width beyond its axis' end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +146,8 @@ class Plant:
             )
         if rng.random() < 0.7:
             self._bud()
+        if rng.random() < 0.25:
+            self._veil()
 
     def _bud(self) -> None:
         """The youngest leaves, still folded: they go on from the apex as if they were the stem."""
@@ -161,6 +167,13 @@ class Plant:
                 leaves_at=aside,
                 is_stiff=True,
             )
+
+    def _veil(self) -> None:
+        """A broad leaf or two on short stalks near the end, as hooks bear them, and are hidden by."""
+        rng = self._rng
+        for side in (1, -1)[: rng.integers(1, 3)]:
+            length, shape = float(rng.uniform(1.2, 4.0)), str(rng.choice(["heart", "ovate", "elliptic"]))
+            self._leaf(float(rng.uniform(0.5, 4.0)), side, length, self._colours.young, rng.uniform(0.1, 0.6), shape)
 
     def _cotyledons(self) -> None:
         rng = self._rng
@@ -183,7 +196,10 @@ class Plant:
             for here in (1, -1) if opposite or rng.random() < 0.3 else (side,):
                 if rng.random() < 0.92:
                     stalk = rng.uniform(0.1, 4.0) * min(1.0, 0.15 + below_cm / 5.0)
-                    self._leaf(below_cm, here, length, colour, stalk, shape, is_threefold=rng.random() < 0.25)
+                    # some stalks go on as the stem does
+                    leaves_at = float(rng.uniform(0.0, 0.35)) if rng.random() < 0.1 else None
+                    form = str(rng.choice(FORMS, p=SHARES_OF_FORMS))
+                    self._leaf(below_cm, here, length, colour, stalk, shape, form=form, leaves_at=leaves_at)
             side, below_cm = -side, below_cm + rng.uniform(1.0, 6.0)
 
     def _leaf(
@@ -195,12 +211,14 @@ class Plant:
         stalk_cm: float,
         shape: str,
         *,
-        is_threefold: bool = False,
+        form: str = "simple",
         leaves_at: float | None = None,
         is_stiff: bool = False,
     ) -> None:
-        """A leaf on its stalk, so far below the apex; it leaves the stem at an angle, rad; a stiff one goes on so."""
+        """A leaf of one of :data:`FORMS` on its stalk, so far below the apex; it leaves the stem at an angle, rad; a
+        stiff one goes on so."""
         rng = self._rng
+        stalk_cm = max(stalk_cm, 0.8 * length_cm) if form == "pinnate" else stalk_cm
         share = float(np.clip(1.0 - below_cm / self._length, 0.0, 1.0))
         angle = self._angle[int(share * (len(self._angle) - 1))]
         angle += side * (rng.uniform(0.3, 1.5) if leaves_at is None else leaves_at)
@@ -217,11 +235,41 @@ class Plant:
         def draw(canvas: Canvas) -> None:
             if stalk_cm > 0.15:
                 canvas.band(stalk, (stalk_width, 0.8 * stalk_width), lambda _: self._colours.stalk, own.uniform(0, 6))
-            for turn, size in ((1.2, 0.8), (-1.2, 0.8), (0.0, 1.0)) if is_threefold else ((0.0, 1.0),):
-                lit, sides = colour + own.normal() * 5.0, (length_cm * size, width_cm * size)
-                canvas.blade(own, stalk[-1], heading + turn, sides, shape, lit, curl, fold)
+            lit = colour + own.normal() * 5.0
+            if form == "pinnate":
+                self._leaflets(canvas, own, stalk, angles, (length_cm, width_cm), lit, shape)
+                return
+            for turn, size in ((1.2, 0.8), (-1.2, 0.8), (0.0, 1.0)) if form == "threefold" else ((0.0, 1.0),):
+                sides = (length_cm * size, width_cm * size)
+                canvas.blade(own, stalk[-1], heading + turn, sides, shape, lit + own.normal() * 3.0, curl, fold)
 
         (self.before if rng.random() < 0.45 else self.behind).append(draw)
+
+    def _leaflets(
+        self,
+        canvas: Canvas,
+        rng: np.random.Generator,
+        stalk: Floats,
+        angles: Floats,
+        size_cm: tuple[float, float],
+        colour: Colour,
+        shape: str,
+    ) -> None:
+        """Pairs of leaflets along a stalk, and a tendril, or one leaflet more, at its end."""
+        shares, turn = np.linspace(rng.uniform(0.2, 0.5), 0.97, rng.integers(2, 5)), rng.uniform(0.5, 1.5)
+        small = tuple(v * rng.uniform(0.25, 0.55) for v in size_cm)
+        for share in shares:
+            angle = float(angles[int(share * (len(angles) - 1))])
+            for side in (turn, -turn):
+                lit = colour + rng.normal() * 4.0
+                canvas.blade(rng, along(stalk, share), angle + side, small, shape, lit, 0.2, rng.random() ** 2)
+        if rng.random() < 0.5:
+            canvas.blade(rng, stalk[-1], float(angles[-1]), small, shape, colour, 0.2, rng.random() ** 2)
+            return
+        for _ in range(rng.integers(1, 4)):
+            heading, curls = float(angles[-1] + rng.normal() * 0.5), (rng.normal() * 4.0, rng.uniform(0.5, 2.0))
+            tendril, _ = curve(rng, heading, rng.uniform(0.5, 3.5), 0.6, curls, 0.0)
+            canvas.band(stalk[-1] + tendril, (0.07, 0.04), lambda _: self._colours.stalk, 0.0)
 
 
 def wild_example(seed: int, *, is_bare: bool = False) -> Example:
@@ -252,10 +300,24 @@ def wild_example(seed: int, *, is_bare: bool = False) -> Example:
     canvas.band(line, tapers, colours.of_stem, rng.uniform(0, 9) * rng.choice([-1, 1]))
     for draw in plant.before:
         draw(canvas)
+    canvas.lit(_light(rng, shape))
     if rng.random() < 0.08:  # another stem, with nothing to tell it but where it stands
         aside = (line - line[0]) * [rng.choice([-1, 1]), 1] + line[0] + [rng.choice([-1, 1]) * rng.uniform(30, 100), 0]
         canvas.band(aside, tapers, colours.of_stem, 0.0)
-    return _seen(rng, canvas.code, empty, line)
+    onwards = line[-1] - line[-2]
+    apex = line[-1] + onwards / np.hypot(*onwards) * rng.uniform(*ROUND_END) * 0.5 * tapers[1] * PX_PER_CM
+    return _seen(rng, canvas.code, empty, np.concatenate([line, apex[None]]))
+
+
+def _light(rng: np.random.Generator, shape: tuple[int, int]) -> Floats:
+    """What a lamp at one side, and the shadows of leaves, do to a plant, shape (height, width, 3), code units."""
+    across, up = (np.linspace(-1.0, 1.0, n, dtype=np.float32) for n in shape[::-1])
+    from_side = across[None] * rng.normal() * 8.0 + up[:, None] * rng.normal() * 6.0
+    light = from_side[..., None] * (1.0 + rng.normal(size=3) * 0.2)
+    if rng.random() < 0.4:
+        shadows = patches(rng, shape, rng.uniform(12, 60), 1.0)
+        light = light - (np.clip(shadows, 0.0, 1.0) * rng.uniform(4, 28))[..., None]
+    return light
 
 
 def _seen(rng: np.random.Generator, code: Floats, empty: Floats, line: Floats) -> Example:

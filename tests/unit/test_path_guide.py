@@ -16,7 +16,7 @@ from guide.canvas import PX_PER_CM
 from guide.examples import Example
 from guide.wild import wild_example
 
-HELD_OUT: Final = range(2_000_000, 2_000_030)
+HELD_OUT: Final = range(2_000_000, 2_000_060)
 """Wild plants that were not learnt from."""
 
 
@@ -159,6 +159,6 @@ def test_wild_plants_that_were_not_learnt_from_are_seen() -> None:
         )
         apart = np.hypot(*(best.line_px[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1)
         line_cm.append(float(np.median(apart)) / PX_PER_CM)
-    assert np.median(off_cm) < 0.3
-    assert np.median(off_cm) < 0.2 * np.median(trivial_cm)
+    assert np.median(off_cm) < 0.5
+    assert np.median(off_cm) < 0.1 * np.median(trivial_cm)
     assert np.median(line_cm) < 0.06

@@ -137,7 +137,8 @@ def test_a_picture_moved_by_half_a_pixel_has_no_more_evidence_on_the_board() -> 
 
 def test_what_differs_everywhere_is_told() -> None:
     picture = photograph("left", number=50)
-    picture[:200, :150] = np.random.default_rng(2).integers(0, 256, (200, 150, 3))
+    patches = np.random.default_rng(2).integers(0, 256, (20, 15, 3), dtype=np.uint8)
+    picture[:200, :150] = patches.repeat(10, axis=0).repeat(10, axis=1)
     assert finder().find(picture).changed > 4.0 * USUAL.changed
 
 

@@ -27,6 +27,8 @@ KEEPS, KEEPS_CM = 3.0, 1.0
 RIVAL_SHARE: Final = 0.6
 """An apex elsewhere that is likelier than this share of the chosen one's may as well be the stem's."""
 AGREES_CM: Final = 0.5
+LEAVES_OVER_CM: Final = 2.5
+"""A way that goes level to another plant's foot does so over this, from the anchor."""
 LEAST_ALONG: Final = 0.1
 """What is less likely the stem's middle shows no stem."""
 WAY_ERROR_CM: Final = 0.08
@@ -34,7 +36,7 @@ WAY_ERROR_CM: Final = 0.08
 MEASURED_TO_CM: Final = 0.6
 """Before the apex edges are those of young leaves."""
 ONWARDS_CM: Final = 0.5
-SAME_TIP_CM: Final = 0.25
+SAME_TIP_CM: Final = 0.16
 """Where the rules end as near as this to the network, the tip lies half-way between."""
 APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
 """Standard deviation of a sure apex along the stem, and what one in doubt has besides."""
@@ -77,6 +79,9 @@ def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_
         return doubts.BEGINS_ASIDE
     if not is_first:
         return ""
+    low = way.line_px[arc_length(way.line_px) < LEAVES_OVER_CM * px_per_cm] - way.line_px[0]
+    if any(doubts.is_aside(place, px_per_cm) for place in low):
+        return doubts.BEGINS_ASIDE
     unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
     if unseen_cm > doubts.LONGEST_UNSEEN_CM:
         return doubts.unseen(unseen_cm)

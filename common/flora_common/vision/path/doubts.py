@@ -47,6 +47,9 @@ ALIKE: Final = 0.5
 FADED, FADED_SHARE = 2.0, 0.45
 """Evidence before the tip, in shares of the least that counts, and its share of that below, under which the stem has
 faded and may go on unseen."""
+STEADY, STEADY_CM = 0.8, 3.0
+"""A stem as long as the second, whose evidence before the tip is this share of that below, has not faded, however much
+noise there is."""
 BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
 ANOTHER_PART: Final = "another part of the plant may as well be the stem"
 ANOTHER_STEM: Final = "something else rises beside the anchor as a stem does"
@@ -99,8 +102,11 @@ def fades(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
     s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
     to_tip_cm = (s[-1] - s) / px_per_cm
     last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
-    below = float(np.median(rest)) if rest.size else 0.0
-    if last.size and float(np.median(last)) < max(FADED * sampler.least, FADED_SHARE * below):
+    if not last.size:
+        return ""
+    here, below = float(np.median(last)), float(np.median(rest)) if rest.size else 0.0
+    is_steady = to_tip_cm[0] > STEADY_CM and here > STEADY * below
+    if here < FADED_SHARE * below or (here < FADED * sampler.least and not is_steady):
         return "the stem fades before it ends: it looks like what is behind it"
     return ""
 

@@ -52,8 +52,8 @@ MOST_SHIFT_PX: Final = 2.0
 """A camera that has moved farther than this has moved; less is believed and taken into account."""
 LEAST_SHIFT_PX: Final = 0.04
 """Less changes the evidence of the sharpest edges by half a code unit, which noise does, too."""
-CHANGED, AT_NOISIEST = 40.0, 0.5
-"""Code units, and the least share of a difference that counts where there is much noise: what changed is no noise."""
+CHANGED: Final = 40.0
+"""Code units, over squares of four coarse pixels, for single ones in the dark differ by as much."""
 HANGS_TOGETHER: Final = 2
 """Mark of pixels that hang together with the anchor's."""
 
@@ -150,12 +150,11 @@ class Surveyor:
             flat = moved(flat, empty.gradient, shift)
         score = plant_score(flat)
         even = empty.evened(score)
-        share = np.asarray(cv2.LUT(empty.green, even), dtype=np.float32)
-        score = np.asarray(cv2.multiply(score, share), dtype=np.float32)
+        score = np.asarray(cv2.multiply(score, cv2.LUT(empty.green, even)), dtype=np.float32)
         noise = noise_of(score)
         mask = (score > max(CLEAR * noise, LEAST_EVIDENCE)).view(np.uint8)
         plant, around = self._surroundings(mask)
-        changed = _changed(flat, share, around)
+        changed = _changed(flat, around)
         return Survey(picture, coarse, number, empty.state, slow, shift, even, plant, around, changed, noise)
 
     def bounds(self, survey: Survey) -> tuple[slice, slice]:
@@ -321,14 +320,13 @@ def nearest_in_window(camera: CameraSection, settings: PathSettings) -> tuple[fl
     return min(max(x, columns.start), columns.stop - 1), min(max(y, rows.start), rows.stop - 1)
 
 
-def _changed(flat: Float32Array, share: Float32Array, around: ByteArray) -> float:
-    """Share of the picture, away from the plant, that is not as the empty setup shows it.
-
-    Where the setup is dark noise alone is as large as changes are elsewhere; ``share`` brings it to one size, but for
-    what a large change has done to it.
-    """
-    blue, green, red = (np.abs(flat[::2, ::2, k]) for k in range(3))
-    off = np.maximum(np.maximum(blue, green), red) * np.maximum(share[::2, ::2], AT_NOISIEST)
-    away = around[::2, ::2] == 0
+def _changed(flat: Float32Array, around: ByteArray) -> float:
+    """Share of the picture, away from the plant, that is not as the empty setup shows it."""
+    height, width = (n // 2 for n in around.shape)
+    squares = cv2.resize(flat[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    blue, green, red = (np.abs(squares[..., k]) for k in range(3))
+    away = around[: 2 * height : 2, : 2 * width : 2] == 0
     count = int(np.count_nonzero(away))
-    return int(np.count_nonzero(away & (off > CHANGED))) / count if count else 0.0
+    if count == 0:
+        return 0.0
+    return int(np.count_nonzero(away & (np.maximum(np.maximum(blue, green), red) > CHANGED))) / count
