@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import glob
 import hashlib
 import os
 import shutil
@@ -143,7 +145,7 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """A new empty folder that becomes ``path`` when the block ends without an error; after one, nothing is left.
 
     All files in it are flushed to the disk first. With ``replace`` an old folder steps aside for the new one, and is
-    removed when that stands.
+    removed when that stands. What a process that was killed has left of the same folder is removed first.
 
     Raises:
         DiskFull: no room, named with the path.
@@ -151,7 +153,13 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     with _full_disk_told(path, "nothing was written"):
         make_folder(path.parent)
+        _remove_abandoned(path)
         staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX))
+        # Held until the end of the process at most: who can take it knows that nobody works there. Where a file system
+        # has no locks for folders nobody can take one either, and nothing is removed.
+        lock = os.open(staging, os.O_RDONLY | os.O_DIRECTORY)
+        with contextlib.suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX)
         try:
             new = staging / "new"
             new.mkdir()
@@ -170,7 +178,31 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
                 new.rename(path)
             fsync_folder(path.parent)
         finally:
+            os.close(lock)
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """What is left of unfinished folders for ``path`` whose makers are gone.
+
+    An old folder that had stepped aside there is put back where nothing stands in its place.
+    """
+    for staging in path.parent.glob(f"{glob.escape(f'.{path.name}.')}*{TEMPORARY_SUFFIX}"):
+        try:
+            lock = os.open(staging, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError:  # a file, or gone by now
+            continue
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not any(staging.iterdir()):  # somebody is about to take the lock
+                continue
+            if (staging / "old").is_dir() and not path.exists():
+                (staging / "old").rename(path)
+            shutil.rmtree(staging, ignore_errors=True)
+        except OSError:
+            continue
+        finally:
+            os.close(lock)
 
 
 def _flush_tree(folder: Path) -> None:

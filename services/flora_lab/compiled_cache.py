@@ -7,10 +7,13 @@ cache is named after the content of all files that hold compiled functions.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
 import sys
+import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -23,22 +26,46 @@ _COMPILED: Final = (b"jit", b"numba", b"inlined")
 def use_cache_of(package: Path) -> None:
     """Let Numba keep what it compiles from the sources in ``package`` in a folder for these sources alone.
 
-    A folder that the user has set stays. Where nothing can be written, Numba keeps it where it would by itself.
+    The folder lies beside the sources; where nothing can be written there, in the user's own cache; where that cannot
+    be either, it is a temporary one, which goes with this process: Numba refuses to work without. One that the user
+    has set stays, and so does one of the same sources that this process was started with.
     """
-    if VARIABLE in os.environ and _PREFIX not in os.environ[VARIABLE]:
+    given = os.environ.get(VARIABLE, "")
+    name = f"{_PREFIX}{fingerprint(package)}"
+    if given and (_PREFIX not in given or Path(given).name.startswith(name)):
         return
-    folder = package / "__pycache__" / f"{_PREFIX}{fingerprint(package)}"
-    if not folder.exists():
+    os.environ[VARIABLE] = str(_writable(name, (package / "__pycache__", _of_user())))
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = os.environ[VARIABLE]
+
+
+def _writable(name: str, parents: Iterable[Path]) -> Path:
+    """A folder of this name in the first place where it can be written, without those of earlier sources."""
+    for parent in parents:
+        folder = parent / name
         try:
+            is_new = not folder.exists()
             folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
         except OSError:
-            return
-        for old in folder.parent.glob(f"{_PREFIX}*"):
+            continue
+        for old in parent.glob(f"{_PREFIX}*") if is_new else ():
             if old != folder:
                 shutil.rmtree(old, ignore_errors=True)
-    os.environ[VARIABLE] = str(folder)
-    if "numba" in sys.modules:
-        sys.modules["numba"].config.CACHE_DIR = str(folder)
+        return folder
+    folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _of_user() -> Path:
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if given.is_absolute():
+        return given / "flora"
+    try:
+        return Path.home() / ".cache" / "flora"
+    except RuntimeError:  # there is none
+        return Path(os.devnull)
 
 
 def fingerprint(package: Path) -> str:

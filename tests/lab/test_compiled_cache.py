@@ -88,3 +88,47 @@ def test_a_folder_that_was_inherited_is_replaced(package: Path, monkeypatch: pyt
     assert Path(os.environ[VARIABLE]).name == f"numba-{fingerprint(package)}"
     if numba is not None:
         numba.config.CACHE_DIR = before
+
+
+def without_place(package: Path, environment: dict[str, str]) -> str:
+    """Where a program that may write nothing beside its sources keeps what it compiles."""
+    (package / "__pycache__").write_text("no folder can be made here")
+    cleared = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    program = PROGRAM + "import os; print(os.environ['NUMBA_CACHE_DIR'])\n"
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", program],
+        cwd=package.parent,
+        env={**cleared, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    answer, folder = done.stdout.split("\n")[:2]
+    assert answer.startswith("1 ")
+    return folder
+
+
+def test_sources_that_cannot_be_written_beside_are_compiled_into_the_users_cache(package: Path, tmp_path: Path) -> None:
+    home = {"HOME": str(tmp_path), "XDG_CACHE_HOME": ""}
+    folder = without_place(package, home)
+    assert Path(folder).parent == tmp_path / ".cache" / "flora"
+    assert any(Path(folder).rglob("*.nbi"))
+
+
+def test_without_any_place_there_is_a_temporary_one_that_goes_with_the_process(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    folder = without_place(package, {"XDG_CACHE_HOME": str(tmp_path / "file"), "TMPDIR": str(tmp_path)})
+    assert Path(folder).parent == tmp_path
+    assert not Path(folder).exists()
+
+
+def test_a_process_that_was_started_with_a_folder_of_the_same_sources_uses_it(
+    package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    given = str(tmp_path / f"numba-{fingerprint(package)}-abc")
+    monkeypatch.setenv(VARIABLE, given)
+    use_cache_of(package)
+    assert os.environ[VARIABLE] == given
+    (package / "called.py").write_text(CALLED.format(value=5))
+    use_cache_of(package)
+    assert os.environ[VARIABLE] != given

@@ -21,12 +21,13 @@ REAL_PLANTS: Final = (0.924, 0.920, 0.877)
 """The paper's three real plants, when their tips reached the target (section "Performance of controllers in reality").
 """
 
-Measure = Literal["fitness", "fitness_at_end"]
+Measure = Literal["fitness", "fitness_at_end", "best_fitness"]
 MEASURES: Final[dict[Measure, Callable[[Trial], float]]] = {
     "fitness": lambda trial: trial.fitness,
     "fitness_at_end": lambda trial: trial.fitness_at_end,
+    "best_fitness": lambda trial: trial.best_fitness,
 }
-"""As the paper tells it of its real plants, and as it judges controllers that it evolves."""
+"""As the paper tells it of its real plants, as it judges controllers that it evolves, and how near the tip came."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,11 @@ from flora_lab.evaluate.plan import Plan
 from flora_lab.evaluate.trial import TWIN
 
 NOTHING: Final = "-"
-MEASURE_WORDS: Final[dict[Measure, str]] = {"fitness": "fitness", "fitness_at_end": "at the end"}
+MEASURE_WORDS: Final[dict[Measure, str]] = {
+    "fitness": "fitness",
+    "fitness_at_end": "at the end",
+    "best_fitness": "best",
+}
 
 GAP_WORDS: Final = "reality gap: simulated minus virtual plants' mean, in percentage points"
 Table = tuple[list[str], list[list[str]]]
@@ -55,12 +59,12 @@ def summary_table(one: Evaluation, place: str) -> Table:
     body = []
     for row in one.rows:
         if row.place == place:
-            cells = [_values(row.of_typical(m), row.mean(m), row.worst(m), kinds) for m in MEASURES]
-            body.append([row.controller, scenario_words(row), *cells[0], *cells[1], *_ends(row)])
+            cells = [c for m in MEASURES for c in _values(row.of_typical(m), row.mean(m), row.worst(m), kinds)]
+            body.append([row.controller, scenario_words(row), *cells, *_ends(row)])
     for average in averages(one.plan, one.rows):
         if average.place == place:
-            cells = [_values(average.typical[m], average.mean[m], None, kinds) for m in MEASURES]
-            body.append([average.controller, _average_words(average), *cells[0], *cells[1], "", "", "", ""])
+            cells = [c for m in MEASURES for c in _values(average.typical[m], average.mean[m], None, kinds)]
+            body.append([average.controller, _average_words(average), *cells, "", "", "", ""])
     return head, body
 
 
@@ -107,7 +111,8 @@ def notes(one: Evaluation) -> list[str]:
     task = one.plan.task
     found = [
         "Fitness in percent: when the tip first lay in the target's circle, as the paper tells it of its real plants; "
-        "where it never did (reached), at the end. At the end is how the paper judges controllers that it evolves.",
+        "where it never did (reached), at the end. At the end is how the paper judges controllers that it evolves. "
+        "Best is how near the tip came to the target's middle on the way.",
         f"A run ends when the stem touches the obstacle (collision), when the tip is {task.stop_height_cm:g} cm high "
         f"(height), or after {task.hours:g} h (time).",
     ]
