@@ -244,13 +244,26 @@ def _calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
     return float(sum(gaps) / len(confidence))
 
 
-def gain_share(
-    outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_base: bool = False
-) -> tuple[float, int]:
-    """What the claims gained at the run's end, as a share of what the oracle gains, pooled; and over how many cases.
+@dataclass(frozen=True)
+class GainShare:
+    """What the claims gained at the run's end, as a share of what the oracle gains, pooled.
 
-    Both are root mean squares of the tip's distance, in mm. A diagnosis takes part where ``gain.free_running.end``
-    gives ``base_rms`` and ``extended_rms``.
+    Attributes:
+        value: nan where there is nothing to gain.
+        low, high: 95 % of it when cases are drawn again with replacement: plants differ by as much as weak effects do.
+        cases: that took part.
+    """
+
+    value: float
+    low: float
+    high: float
+    cases: int
+
+
+def gain_share(outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_base: bool = False) -> GainShare:
+    """Gain of the claims and of the oracle, both root mean squares of the tip's distance, in mm.
+
+    A diagnosis takes part where it is right and ``gain.free_running.end`` gives ``base_rms`` and ``extended_rms``.
 
     Args:
         outcomes: of the cases.
@@ -258,8 +271,7 @@ def gain_share(
         from_one_base: the oracle begins at the error of the base that the diagnosis extends, which was learned from
             few plants, and not at that of the true typical plant without the effect.
     """
-    gained = possible = 0.0
-    cases = 0
+    gains = []
     for outcome in outcomes:
         end = (outcome.diagnosis or {}).get("gain", {}).get("free_running", {}).get("end")
         oracle = outcome.truth.get("oracle", {}).get(whose, {}).get("end")
@@ -268,10 +280,16 @@ def gain_share(
         base, extended = (end.get(f"{name}_rms") for name in ("base", "extended"))
         if base is None or extended is None:
             continue
-        gained += float(base) - float(extended)
-        possible += (float(base) if from_one_base else oracle["base_mm"]) - oracle["extended_mm"]
-        cases += 1
-    return (gained / possible if possible > 0.0 else math.nan), cases
+        begin = float(base) if from_one_base else oracle["base_mm"]
+        gains.append((float(base) - float(extended), begin - oracle["extended_mm"]))
+    told = np.array(gains).reshape(-1, 2)
+    gained, possible = told.sum(axis=0)
+    if possible <= 0.0:
+        return GainShare(math.nan, math.nan, math.nan, len(told))
+    drawn = told[np.random.default_rng(1).integers(0, len(told), (DRAWS, len(told)))].sum(axis=1)
+    drawn = drawn[drawn[:, 1] > 0.0]
+    low, high = np.percentile(drawn[:, 0] / drawn[:, 1], (2.5, 97.5))
+    return GainShare(gained / possible, float(low), float(high), len(told))
 
 
 def confusion(outcomes: Sequence[Outcome]) -> Counter[tuple[str, str]]:

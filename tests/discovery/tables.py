@@ -85,9 +85,10 @@ def _summary(outcomes: Sequence[Outcome]) -> Table:
         told = f"{claims:.3f}; {exact:.3f} if they were exact"
         rows.append(("calibration error of confidences", "both", told, "<= 0.08"))
     for from_one_base, what in GAINS:
-        gained, cases = gain_share(outcomes, from_one_base=from_one_base)
-        if not math.isnan(gained):
-            rows.append((what, "both", f"{gained:.2f} ({cases} cases)", ">= 0.90"))
+        share_of = gain_share(outcomes, from_one_base=from_one_base)
+        if not math.isnan(share_of.value):
+            told = f"{share_of.value:.2f} ({share_of.low:.2f} to {share_of.high:.2f}), {share_of.cases} cases"
+            rows.append((what, "both", told, ">= 0.90"))
     failed = share(o.diagnosis is None for o in outcomes)
     if failed.count:
         rows.append(("failed", "both", str(failed), "0"))

@@ -147,13 +147,15 @@ def test_gain_is_pooled_over_right_claims() -> None:
         end = {"base_rms": base, "extended_rms": extended}
         return outcome("single", SAG, "explained", cause(effect), gain={"free_running": {"end": end}})
 
-    assert gain_share([gained(6.0), gained(8.0), gained(99.0, "draught")]) == (pytest.approx(6.0 / 8.0), 2)
+    share = gain_share([gained(6.0), gained(8.0), gained(99.0, "draught")])
+    assert (share.value, share.cases) == (pytest.approx(6.0 / 8.0), 2)
+    assert (share.low, share.high) == (pytest.approx(2.0 / 4.0), pytest.approx(4.0 / 4.0))
     better = [gained(7.0, base=8.0)]
-    assert gain_share(better)[0] == pytest.approx(1.0 / 4.0)
-    assert gain_share(better, from_one_base=True) == (pytest.approx(1.0 / 2.0), 1)
-    value, cases = gain_share([outcome("single", SAG, "explained", cause("sag"))])
-    assert math.isnan(value)
-    assert cases == 0
+    assert gain_share(better).value == pytest.approx(1.0 / 4.0)
+    assert gain_share(better, from_one_base=True).value == pytest.approx(1.0 / 2.0)
+    nothing = gain_share([outcome("single", SAG, "explained", cause("sag"))])
+    assert math.isnan(nothing.value)
+    assert nothing.cases == 0
 
 
 def test_the_summary_tells_each_aim_of_each_physics() -> None:

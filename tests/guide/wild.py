@@ -1,8 +1,9 @@
 """Plants that look like none in particular: anything that a stem with leaves may look like.
 
 Drawn at once as what the finder sees of a photograph, evidence and logarithmic code, at 20 px per cm. Every trait is
-drawn widely and by itself: stems of 1.5 to 24 cm, straight, bent or hooked; leaves of any shape, size and place, before
-and behind the stem; leaves greener than stems or not; any board.
+drawn widely and by itself: stems of 1.5 to 24 cm, straight, bent or hooked; leaves of any shape, size and place,
+simple, threefold or pinnate, before and behind the stem, also just where a hook's top is; leaves greener than stems or
+not; light from one side, shadows of leaves; any board.
 """
 
 from __future__ import annotations

@@ -11,11 +11,12 @@ from evolve_genomes import random_networks
 from evolve_simulators import learned, mechanistic, paper
 from simulator_fakes import GROWTH_CM_H, LEAN_CM_H, Straight, StraightPlant
 
+from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_lab.evolve.controllers import FromFile, controller_of
 from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.individuals import Individuals
-from flora_lab.evolve.reach import reach
+from flora_lab.evolve.reach import check_stems, reach
 from flora_lab.evolve.task import LEFT, Task
 from flora_lab.simulator.interface import Simulator
 
@@ -54,6 +55,30 @@ def test_stems_that_are_no_numbers_are_not_told_of() -> None:
 
     assert met.left_cm == pytest.approx(-5.0, abs=0.05)
     assert met.right_cm == pytest.approx(LEAN_CM_H * HOURS, abs=0.011)
+
+
+class Bulging(StraightPlant):
+    """The middle of its stems is 26 m away when the tip is farther to the right than 5 cm; the tip is at its place."""
+
+    def stems_cm(self, state: Straight) -> FloatArray:
+        stems = super().stems_cm(state)
+        stems[state.tip_cm[:, 0] > 5.0, 5, 0] = 2600.0
+        return stems
+
+
+def test_a_simulator_whose_stems_are_no_plants_is_refused_before_anything_is_evolved() -> None:
+    check_stems(StraightPlant(), TASK)
+    hours = 5.0 / LEAN_CM_H
+    with pytest.raises(
+        BadInput, match=r"a stem that is not finite, task left, after \d+\.\d h; train it again"
+    ) as torn:
+        check_stems(Torn(), TASK)
+    with pytest.raises(BadInput, match=r"a stem that reaches 2\.6e\+03 cm, task left, after") as bulging:
+        check_stems(Bulging(), TASK)
+    for refused in (torn, bulging):
+        told = float(str(refused.value).split("after ")[1].split(" h")[0])
+        assert told == pytest.approx(hours, abs=0.2)
+    check_stems(Bulging(), replace(TASK, hours=0.9 * hours))
 
 
 @pytest.mark.parametrize("plants", [0, 5])

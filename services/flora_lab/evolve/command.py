@@ -99,6 +99,7 @@ def evolve(
         generations=generations,
         seed=seed,
     )
+    _module("reach").check_stems(plan.parcel.simulator, plan.task)
     illustrate = modules_of("flora_lab.evolve_report")("page").write_report if report else None
     with _module("kept_runs").KeptRuns(_module("kept_runs").kept_path(output), plan.work) as kept:
         try:

@@ -8,10 +8,14 @@ experiments. No obstacle is in their way: where one stands, a stem can be led pa
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
+from flora_common.errors import BadInput
+from flora_common.geometry import FloatArray
 from flora_common.open_loop import PAPERS_TURNS, open_loop_side
 from flora_common.runs import LEVELS
 from flora_common.stem_range import StemRange, range_of
@@ -34,18 +38,47 @@ def reach(simulator: Simulator[Any], task: Task, individuals: Individuals) -> St
         task: start and end; its scenarios do not matter.
         individuals: the plants.
     """
+    met = [task.start_stem_cm[None]]
+    for _, stems, is_plant in _led(simulator, task, individuals):
+        met.append(stems[is_plant])
+    return range_of(np.concatenate(met))
+
+
+def check_stems(simulator: Simulator[Any], task: Task) -> None:
+    """Look at the typical plant under such lamps before much is evolved in it.
+
+    Raises:
+        BadInput: it has a stem that no plant has.
+    """
+    with np.errstate(all="ignore"):
+        for hours, stems, is_plant in _led(simulator, task, Individuals()):
+            if is_plant.all():
+                continue
+            stem = stems[int(np.argmin(is_plant))]
+            what = f"reaches {np.abs(stem).max():.3g} cm" if np.isfinite(stem).all() else "is not finite"
+            raise BadInput(
+                f"the simulator gives a stem that {what}, task {task.name}, after {hours:.1f} h; train it again or "
+                "take another one"
+            )
+
+
+def _led(
+    simulator: Simulator[Any], task: Task, individuals: Individuals
+) -> Iterator[tuple[float, FloatArray, npt.NDArray[np.bool_]]]:
+    """Plants under such lamps, until each has ended: hours, stems (n, 10, 2) that have not, and which are a plant's.
+
+    A stem that is none ends, too.
+    """
     seeds = individuals.seeds()
     plants = [None] if seeds is None else seeds[:MOST_PLANTS]
     chance = None if seeds is None else Chance(np.repeat(np.array(plants), 3))
     state = simulator.start(np.repeat(task.start_stem_cm[None], 3 * len(plants), axis=0), chance)
-    met = [task.start_stem_cm[None]]
     running = np.ones(3 * len(plants), dtype=np.bool_)
     for k in range(task.most_steps):
         lights = [LEVELS["left"], LEVELS["right"], LEVELS[open_loop_side(k * STEP_S, PAPERS_TURNS)]]
         state, stems = simulator.step(state, np.tile(np.array(lights), (len(plants), 1)), STEP_S)
-        running &= (np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2))  # written so that NaN fails it too
-        met.append(stems[running])
-        running &= stems[:, -1, 1] < task.stop_height_cm
+        is_plant = (np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2))  # written so that NaN fails it too
+        yield (k + 1) * STEP_S / 3600.0, stems[running], is_plant[running]
+        running &= is_plant & (stems[:, -1, 1] < task.stop_height_cm)
         if not running.any():
             break
-    return range_of(np.concatenate(met))

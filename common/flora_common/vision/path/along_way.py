@@ -36,7 +36,7 @@ WAY_ERROR_CM: Final = 0.08
 MEASURED_TO_CM: Final = 0.6
 """Before the apex edges are those of young leaves."""
 ONWARDS_CM: Final = 0.5
-SAME_TIP_CM: Final = 0.16
+SAME_TIP_CM: Final = 0.19
 """Where the rules end as near as this to the network, the tip lies half-way between."""
 APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
 """Standard deviation of a sure apex along the stem, and what one in doubt has besides."""
