@@ -77,7 +77,8 @@ def _led(
     for k in range(task.most_steps):
         lights = [LEVELS["left"], LEVELS["right"], LEVELS[open_loop_side(k * STEP_S, PAPERS_TURNS)]]
         state, stems = simulator.step(state, np.tile(np.array(lights), (len(plants), 1)), STEP_S)
-        is_plant = (np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2))  # written so that NaN fails it too
+        # written so that NaN fails it too
+        is_plant = np.asarray((np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2)), dtype=np.bool_)
         yield (k + 1) * STEP_S / 3600.0, stems[running], is_plant[running]
         running &= is_plant & (stems[:, -1, 1] < task.stop_height_cm)
         if not running.any():
