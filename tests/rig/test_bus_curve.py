@@ -231,8 +231,18 @@ def test_the_same_bytes_are_heard_where_the_bus_is_open(net: NetworkBus) -> None
     net.start()
     near = net.bus.client()
     net.bus.hear(near, lambda _: near.connected)
-    with said_to(net.ports[0], WITHOUT_KEYS):
-        net.bus.hear(near, lambda heard: any(a.parts[:2] == [b"test/tick", b"\x80"] for a in heard))
+    with contextlib.ExitStack() as lines:
+        next_s = 0.0
+
+        def is_heard(heard: list[Any]) -> bool:
+            """Said again now and then: on a busy machine a line may be cut before its greeting was answered."""
+            nonlocal next_s
+            if time.monotonic() > next_s:
+                lines.enter_context(said_to(net.ports[0], WITHOUT_KEYS))
+                next_s = time.monotonic() + 2.0
+            return any(a.parts[:2] == [b"test/tick", b"\x80"] for a in heard)
+
+        net.bus.hear(near, is_heard)
 
 
 def test_services_too_may_be_on_tcp_with_keys(net: NetworkBus) -> None:
