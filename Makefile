@@ -14,7 +14,7 @@ CASES  ?= 400
 PER_WORLD ?= 5
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -45,6 +45,9 @@ test: setup  ## run the tests, two files at a time (JOBS=2)
 
 test-slow: setup  ## the tests that take minutes
 	@$(BIN)/python -m pytest -m slow
+
+test-paper: setup  ## the whole paper at its smallest scale, a minute and a half of work
+	@$(BIN)/python -m pytest -m slow tests/lab/test_paper_command.py
 
 test-systemd: setup  ## the rig under a real systemd: a Debian tree is booted; needs root, systemd-container and debootstrap
 	@$(BIN)/python -m pytest -m slow -s tests/systemd
