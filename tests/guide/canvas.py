@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.vision.path.sampler import arc_length, places_along
+
 Floats = npt.NDArray[np.floating]
 Colour = npt.NDArray[np.floating]
 """Blue, green, red in logarithmic code, shape (3,)."""
@@ -37,8 +39,8 @@ def patches(rng: np.random.Generator, shape: tuple[int, int], cell_px: float, si
 
 def along(line: Floats, share: float) -> Floats:
     """The place at a share of a line's length."""
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    return np.array([np.interp(share * s[-1], s, line[:, k]) for k in range(2)])
+    s = arc_length(line)
+    return places_along(line, s, np.array([share * s[-1]]))[0]
 
 
 class Canvas:
