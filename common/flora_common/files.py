@@ -54,7 +54,7 @@ def atomic_writer(path: Path, *, mode: int = 0o644) -> Iterator[BinaryIO]:
     """
     with _full_disk_told(path, "free some space, nothing was overwritten"):
         make_folder(path.parent)
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX)
+        descriptor, name = _temporary(path)
         try:
             with os.fdopen(descriptor, "wb") as file:
                 yield file
@@ -67,6 +67,14 @@ def atomic_writer(path: Path, *, mode: int = 0o644) -> Iterator[BinaryIO]:
             with contextlib.suppress(FileNotFoundError):
                 Path(name).unlink()
             raise
+
+
+def _temporary(path: Path) -> tuple[int, str]:
+    try:
+        return tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX)
+    except OSError as error:
+        error.filename = str(path)  # what was asked for, which people know
+        raise
 
 
 @contextlib.contextmanager

@@ -54,7 +54,7 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         message = text[: at.start()] if at else text
         path = at.group(1) if at and at.group(1) else ""
         key = f" `{path}`" if path else ""
-        hint = _known_values(into, path, message)
+        hint = _known_values(into, path, message) or _number_given(data, path)
         raise error(f"{where}:{key} {message[0].lower()}{clipped(message[1:], 200)}{hint}") from problem
 
 
@@ -72,6 +72,17 @@ def _known_values(into: type[msgspec.Struct], path: str, message: str) -> str:
         kind = found[0]
     literals = [part for part in (kind, *typing.get_args(kind)) if typing.get_origin(part) is typing.Literal]
     return did_you_mean(wrong.group(1), [str(v) for part in literals for v in typing.get_args(part)])
+
+
+def _number_given(data: dict[str, Any], path: str) -> str:
+    """The number that was refused: ``nan`` is not seen to be out of a range."""
+    value: Any = data
+    for name in re.findall(r"[^.\[\]]+", path):
+        try:
+            value = value[int(name) if isinstance(value, list) else name]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return ""
+    return f", it is {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else ""
 
 
 def to_toml(value: msgspec.Struct) -> str:

@@ -121,6 +121,11 @@ def test_other_errors_stay_what_they_are(tmp_path: Path) -> None:
         write_text(tmp_path / "file" / "inside", "x")
 
 
+def test_what_was_asked_for_is_told_and_not_the_temporary_name() -> None:
+    with pytest.raises(OSError, match=r"'/proc/flora\.txt'"):
+        write_text(Path("/proc/flora.txt"), "x")
+
+
 def test_lines_are_appended_under_one_header(tmp_path: Path) -> None:
     path = tmp_path / "new" / "frames.csv"
     for number in range(3):
