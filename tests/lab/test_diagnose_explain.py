@@ -12,7 +12,7 @@ import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
-from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
+from flora_lab.diagnose.explain import MOST_CAUSES, SECOND, Explainer
 from flora_lab.diagnose.explanation import CLAIM, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
@@ -85,6 +85,14 @@ def test_where_nothing_is_hidden_nothing_is_named() -> None:
     assert claims <= 1
 
 
+def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
+    explainer = Explainer(scenes_of((80,)), known())
+    late = explained("late").accepted  # a clock has no form that could be wrong
+    assert explainer._needed(()) == explainer.first_claim
+    assert explainer._needed(late) == explainer.second_claim < CLAIM < explainer.first_claim
+    assert explainer._needed((*late, *late)) == explainer.claim
+
+
 def test_one_run_will_do() -> None:
     explanation = explained("late", (80,))
     assert names(explanation) == ("clock_offset",)
@@ -113,7 +121,7 @@ def test_an_explanation_holds_together(which: str) -> None:
         assert best.hypothesis.names() == (*stage.before.hypothesis.names(), slow[0].effect.name)
     for one in explanation.accepted:
         assert one.tried is one.stage.tried[0]
-        assert one.tried.gain >= CLAIM
+        assert one.tried.gain >= (CLAIM if one is explanation.accepted[0] else SECOND)
 
 
 def test_temperature_is_looked_at_where_it_is_told() -> None:

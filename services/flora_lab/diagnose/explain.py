@@ -32,6 +32,9 @@ _MOST_DOUBT: Final = 4.0
 _FIRST: Final = 3.0
 """Nats that the first cause needs besides: where nothing is hidden, what is wrong in the form of the law looks like a
 weak cause."""
+SECOND: Final = 2.0
+"""Nats that the second cause needs: where one is at work, another is no surprise. Of those with 2 to 4 nats about every
+second one is there (docs/results/discovery.md), and its confidence says so."""
 FORM: Final = 0.015
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
@@ -68,6 +71,7 @@ class Explainer:
         doubt = more * _doubt_of(known)
         self.claim = CLAIM + doubt
         self.first_claim = self.claim + _FIRST
+        self.second_claim = SECOND + doubt
         self.nameless = more * NAMELESS + doubt
         self._on_step = on_step
         self._answers: list[Answers] = []
@@ -144,7 +148,8 @@ class Explainer:
             return self.first_claim
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        return self.claim + min(wrong, _MOST_OF_FORM)
+        least = self.second_claim if len(accepted) == 1 else self.claim
+        return least + min(wrong, _MOST_OF_FORM)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
