@@ -102,6 +102,14 @@ def test_the_papers_value_is_drawn_where_there_is_one() -> None:
     assert fitness_boxes(told, LEFT, 82.5) != fitness_boxes(told, LEFT)
 
 
+def test_what_runs_have_kept_is_drawn_where_populations_were_left() -> None:
+    told = history(Fake())
+    stayed = replace(told, is_extinct=np.zeros_like(told.is_extinct))
+
+    assert told.is_extinct.any()
+    assert fitness_boxes(told, LEFT) != fitness_boxes(stayed, LEFT)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 21, 22, 23, 40, 400, 1000, 1001])
 def test_boxes_stand_at_even_distances_from_the_first_generation_to_the_last(count: int) -> None:
     places = box_generations(count)

@@ -43,6 +43,8 @@ def fitness_boxes(history: History, task: Task, paper_percent: float | None = No
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, (title, fitness) in zip(axes, panels, strict=True):
         _boxes(ax, 100.0 * fitness)
+        if history.is_extinct.any() and ax is axes[0]:
+            _best_so_far(ax, 100.0 * history.best_so_far)
         if paper_percent is not None and title == panels[0][0]:
             label = f"{PAPER_LABEL}: {paper_percent:g} %"
             ax.axhline(paper_percent, color=GREY, linestyle="--", linewidth=1.2, label=label)
@@ -138,6 +140,11 @@ def _boxes(ax: Axes, fitness: FloatArray) -> None:
         flierprops={"marker": "o", "markersize": 2.5, "markerfacecolor": "none", "markeredgecolor": ORANGE},
     )
     draw_curve(ax, np.median(fitness, axis=0), color="black", linewidth=1.0, label="median over runs")
+
+
+def _best_so_far(ax: Axes, fitness: FloatArray) -> None:
+    """Where populations are left for new ones, which begin low, the runs' best are not those of the generation."""
+    draw_curve(ax, np.median(fitness, axis=0), color=ORANGE, linewidth=1.4, label="median of the runs' best so far")
 
 
 def _single_runs(ax: Axes, fitness: FloatArray) -> None:

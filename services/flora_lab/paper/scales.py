@@ -103,7 +103,7 @@ FULL: Final = Scale(
     own_epochs=None,
     in_paper=Evolving(20, 1000, 150),
     in_own=Evolving(20, 400, 150, neat="sparse"),
-    for_reality=Evolving(4, 60, 150, individuals=8, neat="sparse"),
+    for_reality=Evolving(4, 60, 150, individuals=12, neat="sparse"),
     plants=3,
     reality_hours=72.0,
 )
