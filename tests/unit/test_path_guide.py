@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path import convolutions, guide
+from flora_common.vision.path import along_way, convolutions, guide
 from flora_common.vision.path.convolutions import EXACT, HEAD, LAYERS, MOST, Layer, Network, convolved
 from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.path.guide import Way
 from guide.canvas import PX_PER_CM
 from guide.examples import Example
 from guide.wild import wild_example
@@ -140,6 +141,15 @@ def test_an_apex_behind_a_gap_is_less_sure_than_one_on_the_stem() -> None:
     assert [round(float(one.tip_px[0])) for one in ways] == [
         round(float(maps.to_px(np.array([x, 0.0]))[0])) for x in (12.0, 40.0)
     ]
+
+
+@pytest.mark.parametrize(("sure", "beyond_cm"), [(0.1, 0.0), (0.275, 0.02), (0.35, 0.04), (0.9, 0.04)])
+def test_a_sure_stem_ends_beyond_the_networks_apex_in_its_direction(sure: float, beyond_cm: float) -> None:
+    upright = np.column_stack([np.full(60, 50.0), np.arange(160.0, 100.0, -1.0)])
+    line = np.concatenate([upright, [[50.0 + 3.0 * k, 101.0 - 4.0 * k] for k in range(1, 8)]])
+    way = Way(line[-1], sure, line, np.ones(len(line)))
+    moved = (along_way.end_of(way, PX_PER_CM) - line[-1]) / PX_PER_CM
+    assert moved == pytest.approx([0.6 * beyond_cm, -0.8 * beyond_cm], abs=1e-9)
 
 
 def test_wild_plants_that_were_not_learnt_from_are_seen() -> None:

@@ -38,6 +38,10 @@ MEASURED_TO_CM: Final = 0.6
 ONWARDS_CM: Final = 0.5
 SAME_TIP_CM: Final = 0.19
 """Where the rules end as near as this to the network, the tip lies half-way between."""
+SHORT_CM, HEADING_CM = 0.04, 0.3
+"""So far the network's apex lies before the end of a stem of which it is sure, along its last part, so long;"""
+SHORT_FROM, SHORT_WHOLE = 0.2, 0.35
+"""of one of which it is not, less, from the first likelihood to the second."""
 APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
 """Standard deviation of a sure apex along the stem, and what one in doubt has besides."""
 LOWER, WIDEST_CM, LEAST_WIDTH_PX = 0.6, 1.0, 1.5
@@ -117,7 +121,7 @@ def stem_along(way: Way, sampler: Sampler, px_per_cm: float) -> tuple[Stem, Tip]
     stem = curve.along_line(
         line, upto, (width, 0.8 * width), _bends_from(line, s, px_per_cm), sampler, px_per_cm, WAY_ERROR_CM
     )
-    safe, apex = len(stem.line) - 1, way.tip_px
+    safe, apex = len(stem.line) - 1, end_of(way, px_per_cm)
     by_rules = find_tip(stem, sampler, px_per_cm, beyond_cm=(float(s[-1]) - upto) / px_per_cm + SAME_TIP_CM).places[-1]
     if math.dist(by_rules, apex) < SAME_TIP_CM * px_per_cm:
         apex = 0.5 * (apex + by_rules)
@@ -131,6 +135,20 @@ def stem_along(way: Way, sampler: Sampler, px_per_cm: float) -> tuple[Stem, Tip]
     whole = curve.with_tip(stem, safe, places, sampler, px_per_cm, WAY_ERROR_CM)
     drawn = drawn_to(whole.line, apex, MEASURED_TO_CM * px_per_cm)
     return replace(whole, line=drawn, length=float(arc_length(drawn)[-1])), tip
+
+
+def end_of(way: Way, px_per_cm: float) -> FloatArray:
+    """Where the stem ends, px: beyond the apex that the network tells, which lies a little short of it.
+
+    Args:
+        way: to the apex.
+        px_per_cm: scale.
+    """
+    s = arc_length(way.line_px)
+    before = places_along(way.line_px, s, np.array([max(0.0, float(s[-1]) - HEADING_CM * px_per_cm)]))[0]
+    heading = way.tip_px - before
+    short_cm = SHORT_CM * min(1.0, max(0.0, (way.sure - SHORT_FROM) / (SHORT_WHOLE - SHORT_FROM)))
+    return way.tip_px + short_cm * px_per_cm * heading / max(1e-9, float(np.hypot(*heading)))
 
 
 def _width(line: FloatArray, s: FloatArray, sampler: Sampler, px_per_cm: float) -> float:
