@@ -64,7 +64,7 @@ def outcomes(entries: Sequence[Mapping[str, Any]]) -> list[Outcome]:
     """What the tables are made from."""
     return [
         # Results from before worlds were shared do not say it: each case learned.
-        Outcome(entry["truth"], entry["diagnosis"], entry["seconds"], entry.get("learned", True))
+        Outcome(entry["truth"], entry["diagnosis"], entry["seconds"], entry.get("learned", True), entry.get("named_mm"))
         for entry in entries
     ]
 

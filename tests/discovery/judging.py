@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,14 @@ from typing import Any
 from flora_common.errors import BadInput
 
 from .plans import Plan
-from .worlds.case import Case, draw_case
+from .worlds.case import Case, Hidden, draw_case, named_mm
+from .worlds.effects import SAG_PER_CM3
 from .worlds.writing import truth, write_case
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 BASE = "base.simulator"
+FINDER_SAG_PER_CM3 = 0.01
+"""What ``diagnosis.json`` calls a sag's amplitude of 1; the worlds have a unit of their own."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,8 @@ def judge(plan: Plan, folder: Path, finder: Finder, base: Path | None = None) ->
 
     Returns:
         The line for the results file: ``key``, ``truth``, ``diagnosis`` (None where it failed), ``seconds``,
-        ``learned`` (whether these are with the learning from the reference), ``error``.
+        ``learned`` (whether these are with the learning from the reference), ``error``; ``named_mm``, what its claims
+        are worth about the held-out plants, see :func:`.worlds.case.named_mm`.
 
     Raises:
         BadInput: the program cannot be started.
@@ -125,4 +129,16 @@ def judge(plan: Plan, folder: Path, finder: Finder, base: Path | None = None) ->
         "seconds": round(seconds, 2),
         "learned": base is None,
         "error": error,
+        "named_mm": named_mm(case, claims(diagnosis)),
     }
+
+
+def claims(diagnosis: Mapping[str, Any] | None) -> list[Hidden]:
+    """What a diagnosis says that is at work, in the worlds' units; nothing where it does not explain the runs."""
+    if diagnosis is None or diagnosis.get("verdict") != "explained":
+        return []
+    told = [Hidden(str(cause["effect"]), dict(cause["parameters"])) for cause in diagnosis["causes"]]
+    for one in told:
+        if one.name == "sag":
+            one.parameters["amplitude"] *= FINDER_SAG_PER_CM3 / SAG_PER_CM3
+    return told

@@ -62,6 +62,7 @@ class Outcome:
     diagnosis: Json | None
     seconds: float
     learned: bool = True
+    named_mm: Json | None = None
 
     @property
     def kind(self) -> str:
@@ -282,6 +283,25 @@ def gain_share(outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_
             continue
         begin = float(base) if from_one_base else oracle["base_mm"]
         gains.append((float(base) - float(extended), begin - oracle["extended_mm"]))
+    return _pooled(gains)
+
+
+def named_share(outcomes: Sequence[Outcome]) -> GainShare:
+    """What the claims are worth at the end about plants whose own constants are known, as a share of the whole effect.
+
+    Single effects and pairs take part, whether anything was named or not. How plants differ, which is more than most
+    effects and tells nothing of a finder, is not in it.
+    """
+    gains = []
+    for outcome in outcomes:
+        own = outcome.truth.get("oracle", {}).get("own", {}).get("end")
+        if outcome.kind in {"single", "pair"} and outcome.named_mm is not None and own is not None:
+            gains.append((own["base_mm"] - outcome.named_mm["end"], own["base_mm"] - own["extended_mm"]))
+    return _pooled(gains)
+
+
+def _pooled(gains: Sequence[tuple[float, float]]) -> GainShare:
+    """Sums of what was gained and of what could have been, one by the other."""
     told = np.array(gains).reshape(-1, 2)
     gained, possible = told.sum(axis=0)
     if possible <= 0.0:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from discovery.judging import claims
 from discovery.scoring import (
     Outcome,
     Share,
@@ -15,6 +16,7 @@ from discovery.scoring import (
     calibration_error_by_chance,
     confusion,
     gain_share,
+    named_share,
     parameter_errors,
     share,
 )
@@ -156,6 +158,26 @@ def test_gain_is_pooled_over_right_claims() -> None:
     nothing = gain_share([outcome("single", SAG, "explained", cause("sag"))])
     assert math.isnan(nothing.value)
     assert nothing.cases == 0
+
+
+def test_what_was_named_is_weighed_about_the_own_plants() -> None:
+    def told(kind: str, end_mm: float | None) -> Outcome:
+        one = outcome(kind, SAG, "explained", cause("sag"))
+        one.truth["oracle"]["own"] = {"end": {"base_mm": 10.0, "extended_mm": 2.0}}
+        return replace(one, named_mm=None if end_mm is None else {"end": end_mm})
+
+    share = named_share([told("single", 4.0), told("pair", 10.0), told("outside", 2.0), told("single", None)])
+    assert (share.value, share.cases) == (pytest.approx(6.0 / 16.0), 2)
+    assert (share.low, share.high) == (pytest.approx(0.0), pytest.approx(0.75))
+    assert math.isnan(named_share([]).value)
+
+
+def test_the_finders_words_become_the_worlds() -> None:
+    sag = {"verdict": "explained", "causes": [cause("sag", parameters={"amplitude": 1.5, "softness_cm": 5.0})]}
+    (one,) = claims(sag)
+    assert (one.name, one.parameters["amplitude"]) == ("sag", pytest.approx(1.0))
+    assert sag["causes"][0]["parameters"]["amplitude"] == 1.5
+    assert claims({**sag, "verdict": "unexplained"}) == claims(None) == []
 
 
 def test_the_summary_tells_each_aim_of_each_physics() -> None:

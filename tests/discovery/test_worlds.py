@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from discovery.worlds import other, rod
-from discovery.worlds.case import ALL_EFFECTS, believed_lamps, draw_case
+from discovery.worlds.case import ALL_EFFECTS, Hidden, believed_lamps, draw_case, named_mm
 from discovery.worlds.effects import CATALOGUE, INSEPARABLE, ratio
 from discovery.worlds.kernel import CLOSED_LOOP
 from discovery.worlds.outside import OUTSIDE
@@ -309,6 +309,16 @@ def test_pairs_are_two_effects_that_can_be_told_apart() -> None:
 def test_knowing_the_effect_and_the_plant_mends_free_runs() -> None:
     oracle = draw_case(2, 0, "single", 1, 1, effect="draught", hours=48.0).oracle["own"]["run"]
     assert oracle["extended_mm"] < 0.5 * oracle["base_mm"]
+
+
+def test_what_is_named_is_worth_what_it_mends_about_the_own_plants() -> None:
+    case = draw_case(2, 0, "pair", 1, 1, hours=24.0, held_out=1)
+    own = case.oracle["own"]
+    assert named_mm(case, case.hidden) == {when: own[when]["extended_mm"] for when in own}
+    assert named_mm(case, ()) == {when: own[when]["base_mm"] for when in own}
+    assert named_mm(case, [Hidden("memory", {})]) == named_mm(case, ())  # of a simulator, not of a plant
+    half = named_mm(case, case.hidden[:1])
+    assert half not in (named_mm(case, ()), named_mm(case, case.hidden))
 
 
 @pytest.mark.parametrize("ahead_h", [-1.0, 0.0, 1.0])

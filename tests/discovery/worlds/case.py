@@ -67,6 +67,7 @@ class Case:
         oracle: free runs of the ``typical`` plant and of each held-out run's ``own``, without drifts, over the whole
             ``run``, of all points, and at its ``end`` (the last hour), of the tip: root mean square distances,
             ``base_mm`` without and ``extended_mm`` with the true effect.
+        hours: length of each run.
     """
 
     seed: int
@@ -78,6 +79,7 @@ class Case:
     held_out: tuple[Run, ...]
     oracle: Oracle
     number: int = 0
+    hours: float = HOURS
 
 
 @dataclass(frozen=True)
@@ -129,11 +131,7 @@ def draw_case(
         BadInput: an unknown form, kind or effect, or numbers that make no case.
     """
     _check(seed, form, kind, runs, reference, effect, hours, number)
-    rng = np.random.default_rng([seed, form, 1])
-    laws, typical = rod.laws_and_plant() if form == 0 else other.laws_and_plant(rng)
-    species = _Species(
-        seed, form, laws, typical, draw_spread(rng, form), float(rng.uniform(70.0, 80.0)) if form == 1 else 0.0, hours
-    )
+    species, rng = _species(seed, form, hours)
     # The first number adds nothing to what chance is made from: its cases are those of before there were others.
     own = [number] if number else []
     hidden = _draw_hidden(np.random.default_rng([seed, form, 2, KINDS.index(kind), *own]), kind, effect)
@@ -141,8 +139,8 @@ def draw_case(
     loops = ["closed_loop" if i >= reference - reference // 3 else "six_hour" for i in range(reference)]
     mixed = [str(name) for name in order.permutation([OPEN_LOOPS[i % 3] for i in range(max(runs, 3))])][:runs]
     judged = [OPEN_LOOPS[i % 3] for i in range(held_out)]
-    measured_group = 1 + 2 * number
-    tests = _runs(species, measured_group + 1, judged, hidden)
+    measured_group, judging_group = _groups(number)
+    tests = _runs(species, judging_group, judged, hidden)
     return Case(
         seed,
         form,
@@ -151,9 +149,40 @@ def draw_case(
         _runs(species, 0, loops, ()),
         _runs(species, measured_group, list(light) or mixed, hidden),
         tests,
-        _oracle(species, measured_group + 1, tests, hidden),
+        _oracle(species, judging_group, tests, hidden),
         number,
+        hours,
     )
+
+
+def named_mm(case: Case, named: Sequence[Hidden]) -> dict[str, float]:
+    """What was named, put to the test about plants that are known: free runs of each held-out run's own plant.
+
+    Args:
+        case: any.
+        named: effects as somebody told them; those outside :data:`.effects.CATALOGUE` do nothing.
+
+    Returns:
+        Root mean square distances in mm over the whole ``run`` and at its ``end``, to be held against ``base_mm`` and
+        ``extended_mm`` of ``oracle["own"]``.
+    """
+    species, _ = _species(case.seed, case.form, case.hours)
+    known = tuple(one for one in named if one.name in CATALOGUE)
+    return _apart_mm(species, _groups(case.number)[1], case.held_out, known, None)
+
+
+def _species(seed: int, form: int, hours: float) -> tuple[_Species, np.random.Generator]:
+    """A world's plants, and the chance that they were drawn with, which goes on."""
+    rng = np.random.default_rng([seed, form, 1])
+    laws, typical = rod.laws_and_plant() if form == 0 else other.laws_and_plant(rng)
+    spread = draw_spread(rng, form)
+    camera_cm = float(rng.uniform(70.0, 80.0)) if form == 1 else 0.0
+    return _Species(seed, form, laws, typical, spread, camera_cm, hours), rng
+
+
+def _groups(number: int) -> tuple[int, int]:
+    """Numbers of the measured runs' group and of that of the held-out ones; 0 is the reference."""
+    return 1 + 2 * number, 2 + 2 * number
 
 
 def _check(
@@ -245,23 +274,29 @@ def _run(species: _Species, group: int, number: int, schedule: str, hidden: tupl
 
 def _oracle(species: _Species, group: int, runs: tuple[Run, ...], hidden: tuple[Hidden, ...]) -> Oracle:
     """What knowing the effect is worth on the held-out runs, a group: for the typical plant, and for each run's own."""
-    squares: dict[tuple[str, str, str], list[FloatArray]] = {}
+    found: Oracle = {}
+    for whose, plant in (("typical", species.typical), ("own", None)):
+        for name, effects in (("base_mm", ()), ("extended_mm", hidden)):
+            for when, rms in _apart_mm(species, group, runs, effects, plant).items():
+                found.setdefault(whose, {}).setdefault(when, {})[name] = rms
+    return found
+
+
+def _apart_mm(
+    species: _Species, group: int, runs: tuple[Run, ...], effects: tuple[Hidden, ...], plant: Plant | None
+) -> dict[str, float]:
+    """How far free runs of a plant, or of each run's own, with these effects are from a group's runs."""
+    squares: dict[str, list[FloatArray]] = {"run": [], "end": []}
     for number, run in enumerate(runs):
         rows = np.rint(run.track.time_s / ROW_S).astype(np.int64)
-        for whose, plant in (("typical", species.typical), ("own", None)):
-            for name, effects in (("base_mm", ()), ("extended_mm", hidden)):
-                scene = _scene(species, group, number, run.schedule, effects, plant=plant, drifting=False)
-                # Nobody knows more of the lamps than the record tells; who knows the effect knows how late it tells it.
-                scene.schedule = believed_lamps(run.track, len(scene.schedule), scene.record.offset_h)
-                scene.record.gap_share = 0.0
-                off = ((recorded(scene).points_cm[rows] - run.track.points_cm)[:, 1:] ** 2).sum(axis=2) * 100.0
-                squares.setdefault((whose, "run", name), []).append(off.ravel())
-                squares.setdefault((whose, "end", name), []).append(off[-LAST_ROWS:, -1])
-    found: Oracle = {}
-    for (whose, when, name), parts in squares.items():
-        rms = float(np.sqrt(np.concatenate(parts).mean()))
-        found.setdefault(whose, {}).setdefault(when, {})[name] = rms
-    return found
+        scene = _scene(species, group, number, run.schedule, effects, plant=plant, drifting=False)
+        # Nobody knows more of the lamps than the record tells; who knows the effect knows how late it tells it.
+        scene.schedule = believed_lamps(run.track, len(scene.schedule), scene.record.offset_h)
+        scene.record.gap_share = 0.0
+        off = ((recorded(scene).points_cm[rows] - run.track.points_cm)[:, 1:] ** 2).sum(axis=2) * 100.0
+        squares["run"].append(off.ravel())
+        squares["end"].append(off[-LAST_ROWS:, -1])
+    return {when: float(np.sqrt(np.concatenate(parts).mean())) for when, parts in squares.items()}
 
 
 def believed_lamps(track: Track, rows: int, ahead_h: float) -> np.ndarray:
