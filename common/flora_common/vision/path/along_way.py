@@ -148,7 +148,8 @@ def end_of(way: Way, px_per_cm: float) -> FloatArray:
     before = places_along(way.line_px, s, np.array([max(0.0, float(s[-1]) - HEADING_CM * px_per_cm)]))[0]
     heading = way.tip_px - before
     short_cm = SHORT_CM * min(1.0, max(0.0, (way.sure - SHORT_FROM) / (SHORT_WHOLE - SHORT_FROM)))
-    return way.tip_px + short_cm * px_per_cm * heading / max(1e-9, float(np.hypot(*heading)))
+    forward = heading / max(1e-9, float(np.hypot(*heading)))
+    return np.asarray(way.tip_px + short_cm * px_per_cm * forward, dtype=np.float64)
 
 
 def _width(line: FloatArray, s: FloatArray, sampler: Sampler, px_per_cm: float) -> float:
