@@ -29,7 +29,7 @@ def paper(
         Path | None, typer.Option("-o", "--output", help="Folder for everything; what is finished in it stays.")
     ] = None,
     scale: Annotated[
-        str, typer.Option(help="smoke (a minute or two), small (ten) or full (a quarter of an hour).")
+        str, typer.Option(help="smoke (a minute or two), small (four to ten) or full (twenty).")
     ] = DEFAULT_SCALE,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of plants, training and evolution.")] = 1,
     jobs: Annotated[
