@@ -12,11 +12,13 @@ import pytest
 from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
+from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, SECOND, Explainer
-from flora_lab.diagnose.explanation import CLAIM, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import CLAIM, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
+from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Effect
@@ -91,6 +93,17 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     assert explainer._needed(()) == explainer.first_claim
     assert explainer._needed(late) == explainer.second_claim < CLAIM < explainer.first_claim
     assert explainer._needed((*late, *late)) == explainer.claim
+
+
+def test_what_is_too_little_to_be_told_hides_no_cause_with_plain_evidence() -> None:
+    explainer = Explainer(scenes_of((80,)), known())
+    (late,) = explained("late").accepted
+    nameless = Unnamed("gain", COURSES[0], 40.0 + explainer.nameless, np.array([-0.3]))
+    clear, weak = (replace(late.tried, gain=gain + explainer.nameless) for gain in (1.0, -1.0))
+    strong = Accepted(replace(late.tried, gain=10.0 * nameless.gain), late.stage)
+    for best, beside, is_outdone in ((clear, (), True), (clear, (strong,), False), (weak, (strong,), True)):
+        stage = Stage(late.stage.before, (best,), nameless)
+        assert explainer._is_outdone(stage, beside) == is_outdone
 
 
 def test_one_run_will_do() -> None:

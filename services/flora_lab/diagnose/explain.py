@@ -90,7 +90,7 @@ class Explainer:
                 null = stage.before
             best = stage.tried[0]
             stages.append(stage)
-            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or stage.has_no_name(self.nameless):
+            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or self._is_outdone(stage, accepted):
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -151,11 +151,23 @@ class Explainer:
         least = self.second_claim if len(accepted) == 1 else self.claim
         return least + min(wrong, _MOST_OF_FORM)
 
+    def _is_outdone(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
+        """Whether something without a name comes before the best cause.
+
+        Beside causes with much evidence it may be too little to be told: then a cause is named nevertheless that has as
+        much as it takes to be told without a name.
+        """
+        is_told = stage.has_no_name(self._told_from(accepted))
+        return is_told or (stage.has_no_name(self.nameless) and stage.tried[0].gain < self.nameless)
+
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
-        named = sum(one.tried.gain for one in accepted)
-        enough = last.unnamed is not None and last.unnamed.gain > max(self.nameless, BESIDE * named)
-        return last.unnamed if enough else None
+        is_enough = last.unnamed is not None and last.unnamed.gain > self._told_from(accepted)
+        return last.unnamed if is_enough else None
+
+    def _told_from(self, accepted: Sequence[Accepted]) -> float:
+        """Nats from which something without a name is told beside causes."""
+        return max(self.nameless, BESIDE * sum(one.tried.gain for one in accepted))
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
