@@ -43,9 +43,10 @@ def fitness_boxes(history: History, task: Task, paper_percent: float | None = No
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, (title, fitness) in zip(axes, panels, strict=True):
         _boxes(ax, 100.0 * fitness)
-        if history.is_extinct.any() and ax is axes[0]:
+        is_whole_task = ax is axes[0]
+        if is_whole_task and history.is_extinct.any():
             _best_so_far(ax, 100.0 * history.best_so_far)
-        if paper_percent is not None and title == panels[0][0]:
+        if is_whole_task and paper_percent is not None:
             label = f"{PAPER_LABEL}: {paper_percent:g} %"
             ax.axhline(paper_percent, color=GREY, linestyle="--", linewidth=1.2, label=label)
         ax.set_title(title, fontsize=10)
