@@ -2,7 +2,8 @@
 
 Numba compiles a function anew when the function's own file has changed, but not when only a file has changed whose
 functions it calls: after an update it would go on with the old ones, whose results may differ. Here the folder of the
-cache is named after the content of all files that hold compiled functions.
+cache is named after the content of all files that hold compiled functions, and after the lanes that the user has set,
+which are constants in them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
+
+from flora_lab import lanes
 
 VARIABLE: Final = "NUMBA_CACHE_DIR"
 _PREFIX: Final = "numba-"
@@ -31,15 +34,16 @@ def use_cache_of(package: Path) -> None:
     has set stays, and so does one of the same sources that this process was started with.
     """
     given = os.environ.get(VARIABLE, "")
-    name = f"{_PREFIX}{fingerprint(package)}"
+    sources = fingerprint(package)
+    name = f"{_PREFIX}{lanes.given()}-{sources}" if lanes.given() else f"{_PREFIX}{sources}"
     if given and (_PREFIX not in given or Path(given).name.startswith(name)):
         return
-    os.environ[VARIABLE] = str(_writable(name, (package / "__pycache__", _of_user())))
+    os.environ[VARIABLE] = str(_writable(name, sources, (package / "__pycache__", _of_user())))
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = os.environ[VARIABLE]
 
 
-def _writable(name: str, parents: Iterable[Path]) -> Path:
+def _writable(name: str, sources: str, parents: Iterable[Path]) -> Path:
     """A folder of this name in the first place where it can be written, without those of earlier sources."""
     for parent in parents:
         folder = parent / name
@@ -50,7 +54,7 @@ def _writable(name: str, parents: Iterable[Path]) -> Path:
         except OSError:
             continue
         for old in parent.glob(f"{_PREFIX}*") if is_new else ():
-            if old != folder:
+            if sources not in old.name:
                 shutil.rmtree(old, ignore_errors=True)
         return folder
     folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))

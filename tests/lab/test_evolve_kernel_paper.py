@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from evolve_courses import courses
 from evolve_genomes import INPUTS, genome_config, random_genomes
 from evolve_simulators import paper
 from neat.nn import FeedForwardNetwork
@@ -20,10 +21,10 @@ from flora_lab.evolve.episode import Course, Outcomes, run_episode, run_episodes
 from flora_lab.evolve.evaluate import evaluate
 from flora_lab.evolve.genome_arrays import pack
 from flora_lab.evolve.individuals import Individuals
-from flora_lab.evolve.lstm_tiles import LANES
 from flora_lab.evolve.plants_kinds import plants_of
 from flora_lab.evolve.task import LEFT, MIDDLE, straight_stem
-from flora_lab.simulator.paper import CELLS, PaperSimulator
+from flora_lab.simulator.fast_product import LANES
+from flora_lab.simulator.paper import CELLS
 from flora_lab.simulator.rod import jit
 
 torch.set_num_threads(1)
@@ -34,22 +35,6 @@ COURSE_TOLERANCE_CM = 1e-3
 """And in a course, in which errors of earlier steps live on."""
 DOUBT = 1e-3
 """How near to 0.5 C is where rounding of the stem may decide."""
-
-
-@jit
-def advanced(plants: Any, is_right: Any, out: Any) -> None:
-    """The courses of plants, all of which start in row 0; ``is_right`` is (steps, rows), ``out`` (steps, rows, ...)."""
-    rows = is_right.shape[1]
-    plants.copy_rows(np.zeros(rows, dtype=np.int64), np.arange(rows), rows)
-    for k in range(len(is_right)):
-        plants.advance(rows, is_right[k], k)
-        plants.points(rows, out[k])
-
-
-def courses(simulator: PaperSimulator, is_right: Any) -> Any:
-    out = np.empty((*is_right.shape, 10, 2))
-    advanced(plants_of(simulator, LEFT, None, is_right.shape[1]), is_right, out)
-    return out
 
 
 def light_of(is_right: Any) -> Any:

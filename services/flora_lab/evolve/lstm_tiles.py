@@ -1,6 +1,7 @@
 """One step of an LSTM for many plants side by side: a tile of plants is the direction in which SIMD goes.
 
-A tile's numbers stand row by row in a flat array, one row per coordinate, cell or gate, one lane per plant. Every loop
+A tile's numbers stand row by row in a flat array, one row per coordinate, cell or gate, one lane per plant, of which
+there are as many as a product has columns. Every loop
 over lanes does the same operations in each of them and none between them, which is what compilers make vector
 instructions of, of whatever width; and a lane comes to the same bits wherever it stands and whatever stands beside it.
 
@@ -18,14 +19,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.simulator.fast_product import ROWS, product_of_tile
+from flora_lab.simulator.fast_product import LANES, ROWS, product_of_tile
 from flora_lab.simulator.fast_tanh import tanh_parts
 from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
-LANES: Final = 32
-"""Plants per tile: as many as a product has columns."""
 _LINE_BYTES: Final = 64
 _HALF: Final = np.float32(0.5)
 

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_lab.evolve.lstm_tiles import (
-    LANES,
     hidden_and_cell,
     hidden_from_zero,
     product,
@@ -25,7 +24,7 @@ from flora_lab.evolve.lstm_tiles import (
 )
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.task import Task
-from flora_lab.simulator.fast_product import ROWS
+from flora_lab.simulator.fast_product import LANES, ROWS
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.paper import CELLS, COORDINATES, PaperSimulator

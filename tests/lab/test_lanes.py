@@ -1,0 +1,82 @@
+"""How many plants stand side by side is a setting, and makes no difference to any of them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from flora_common.errors import BadInput
+from flora_lab import compiled_cache
+from flora_lab.lanes import CHOICES, VARIABLE, lanes
+
+PROGRAM = """
+import hashlib
+import sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from evolve_courses import courses
+from evolve_simulators import learned, paper
+from flora_lab.simulator.fast_product import LANES
+told = hashlib.sha256()
+is_right = np.random.default_rng(1).random((30, 70)) < 0.5
+for simulator in (paper(), paper(stateful=True), learned()):
+    stems = courses(simulator, is_right)
+    assert np.ptp(stems[-1], axis=0).max() > 0.01
+    told.update(stems.tobytes())
+print(LANES, told.hexdigest())
+"""
+
+
+def run(set_to: str) -> list[str]:
+    environment = {**os.environ, VARIABLE: set_to}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(Path(__file__).parent)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+def test_plants_are_the_same_to_the_bit_however_many_stand_side_by_side() -> None:
+    asked = ["", str(CHOICES[0]), str(CHOICES[-1])]
+    found = [run(set_to) for set_to in asked]
+    assert [int(width) for width, _ in found[1:]] == [CHOICES[0], CHOICES[-1]]
+    assert int(found[0][0]) in CHOICES
+    assert len({bits for _, bits in found}) == 1
+
+
+@pytest.mark.parametrize(("features", "expected"), [("+avx2,+avx512f,+fma", 32), ("+avx2,-avx512f", 16), ("", 16)])
+def test_processors_have_their_own(monkeypatch: pytest.MonkeyPatch, features: str, expected: int) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    assert lanes(features) == expected
+    monkeypatch.setenv(VARIABLE, "64")
+    assert lanes(features) == 64
+
+
+@pytest.mark.parametrize("set_to", ["12", "wide", "-16", "16.0"])
+def test_what_is_no_choice_is_refused(monkeypatch: pytest.MonkeyPatch, set_to: str) -> None:
+    monkeypatch.setenv(VARIABLE, set_to)
+    with pytest.raises(BadInput, match=rf"^FLORA_LANES is '{set_to}'; set it to one of 16, 32, 64, or not at all$"):
+        lanes("+avx2")
+
+
+def test_code_compiled_for_other_lanes_is_kept_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "source.py").write_text("from numba import njit\n")
+    folders = []
+    monkeypatch.setenv("ANOTHER_FOLDER", "")  # so that it is taken back after the test
+    monkeypatch.setattr(compiled_cache, "VARIABLE", "ANOTHER_FOLDER")  # numba's own stays as it is
+    monkeypatch.setattr(compiled_cache.sys, "modules", {})
+    for set_to in ("", "16", "", "64"):
+        monkeypatch.setenv(VARIABLE, set_to)
+        compiled_cache.use_cache_of(tmp_path)
+        folders.append(Path(os.environ["ANOTHER_FOLDER"]))
+    assert folders[0] == folders[2]
+    assert len(set(folders)) == 3
+    assert all(folder.is_dir() for folder in folders)
