@@ -14,10 +14,10 @@ CASES  ?= 400
 PER_WORLD ?= 5
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
+	@sed -n 's/^\([a-z0-9-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
 
 setup: $(STAMP)  ## make .venv with all that demo and tests need
 
@@ -51,6 +51,9 @@ test-paper: setup  ## the whole paper at its smallest scale, a minute and a half
 
 test-systemd: setup  ## the rig under a real systemd: a Debian tree is booted; needs root, systemd-container and debootstrap
 	@$(BIN)/python -m pytest -m slow -s tests/systemd
+
+test-arm64: setup  ## plants, stems and the whole rig on the processor of a Pi 4, emulated; needs root, qemu-user-static and debootstrap
+	@$(BIN)/python -m pytest -m slow -rs tests/arm64
 
 test-cluster: $(CLUSTER_VENV)/.made  ## evolution on several Ray nodes of this machine, one of which is killed
 	@$(CLUSTER_VENV)/bin/python -m pytest tests/lab/test_evolve_cluster.py tests/lab/test_evolve_crew_on_ray.py

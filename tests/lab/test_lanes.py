@@ -13,34 +13,13 @@ from flora_common.errors import BadInput
 from flora_lab import compiled_cache
 from flora_lab.lanes import CHOICES, VARIABLE, lanes
 
-PROGRAM = """
-import hashlib
-import sys
-import numpy as np
-sys.path.insert(0, sys.argv[1])
-from evolve_courses import courses
-from evolve_simulators import learned, paper
-from flora_lab.simulator.fast_product import LANES
-told = hashlib.sha256()
-is_right = np.random.default_rng(1).random((30, 70)) < 0.5
-for simulator in (paper(), paper(stateful=True), learned()):
-    stems = courses(simulator, is_right)
-    assert np.ptp(stems[-1], axis=0).max() > 0.01
-    told.update(stems.tobytes())
-print(LANES, told.hexdigest())
-"""
+PROGRAM = Path(__file__).with_name("plants_bits.py")
 
 
 def run(set_to: str) -> list[str]:
     environment = {**os.environ, VARIABLE: set_to}
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(Path(__file__).parent)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=True,
-    )
+    command = [sys.executable, str(PROGRAM)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True)
     return done.stdout.split()
 
 
