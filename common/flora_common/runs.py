@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -147,6 +148,19 @@ class RunFolder:
         """Pictures of the setup without a plant, in name order."""
         return sorted(self.background.glob("*.jpg")) if self.background.is_dir() else []
 
+    def announced_hashes(self) -> dict[str, str]:
+        """SHA-256 by path of every photograph that ``frames.jsonl`` tells of; none where there is no such file.
+
+        Raises:
+            BadRunFolder: it is there and cannot be read.
+        """
+        try:
+            return announced_hashes(self.frames_log.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except OSError as problem:
+            raise BadRunFolder(f"{self.frames_log}: cannot be read ({problem.strerror})") from problem
+
     def read_frames(self) -> list[FrameRow]:
         """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights."""
         rows: list[FrameRow] = []
@@ -190,6 +204,36 @@ class RunFolder:
         if not first.endswith("\n") or not first.startswith(TRACK_HEADER):
             return None
         return [name for name in first.strip()[len(TRACK_HEADER) :].split(",") if name]
+
+
+class _FrameLine(msgspec.Struct):
+    path: str = ""
+    file: str = ""
+    sha256: str = ""
+
+
+_FRAME_LINE: Final = msgspec.json.Decoder(_FrameLine)
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+def announced_hashes(frames_log: bytes) -> dict[str, str]:
+    """SHA-256 by path, as flora-capture has noted them; the last line of a path counts.
+
+    Lines that are not whole are left out: a power cut may tear the last one.
+
+    Args:
+        frames_log: the content of a ``frames.jsonl``.
+    """
+    hashes: dict[str, str] = {}
+    for line in frames_log.splitlines():
+        try:
+            frame = _FRAME_LINE.decode(line)
+        except (ValueError, RecursionError):
+            continue
+        path = frame.path or frame.file
+        if path and _SHA256.fullmatch(frame.sha256):
+            hashes[path] = frame.sha256
+    return hashes
 
 
 def track_line(time_s: float, light: Light, points_cm: Points) -> str:

@@ -32,14 +32,19 @@ FILM_SUFFIXES: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
-    """A photograph in a file of its own; may be decoded in any process."""
+    """A photograph in a file of its own; may be decoded in any process.
+
+    Attributes:
+        sha256: of the file when the photograph was taken; None where nobody has noted it.
+    """
 
     path: Path
     size_px: tuple[int, int]
+    sha256: str | None = None
 
     def load(self, reduction: Reduction) -> Picture:
-        """Decode at 1/reduction of the size; raises BadPicture."""
-        return read_picture(self.path, expected_size=self.size_px, reduction=reduction)
+        """Decode at 1/reduction of the size; raises BadPicture, also where the file is not what was taken."""
+        return read_picture(self.path, expected_size=self.size_px, reduction=reduction, sha256=self.sha256)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +121,7 @@ class RunSource:
         self.folder = RunFolder(path)
         self.run = self.folder.read_run_file()
         self.rows = self.folder.read_frames()
+        self._taken = self.folder.announced_hashes()
         self.name = str(path)
         self.size_px = (self.run.camera.width_px, self.run.camera.height_px)
         self.count = len(self.rows)
@@ -133,16 +139,26 @@ class RunSource:
 
     def frames(self) -> Iterator[Frame]:
         for i, row in enumerate(self.rows):
-            yield Frame(i, row.file, row.time_s, PictureFile(self._find(row.file), self.size_px), row.covariates)
+            yield Frame(i, row.file, row.time_s, self._picture(self._find(row.file)), row.covariates)
+
+    def background(self) -> list[PictureFile]:
+        """Pictures of the setup without a plant, in name order."""
+        return [self._picture(path) for path in self.folder.background_pictures()]
 
     def fingerprint(self) -> str:
-        tables = [self.folder.run_toml, self.folder.frames_csv]
+        tables = self._tables()
         return _hash([*map(files.sha256_of_file, tables), *map(_state_of, self.files()[len(tables) :])])
 
     def files(self) -> Sequence[Path]:
-        background = self.folder.background_pictures()
         pictures = [self._find(row.file) for row in self.rows]
-        return [self.folder.run_toml, self.folder.frames_csv, *background, *pictures]
+        return [*self._tables(), *self.folder.background_pictures(), *pictures]
+
+    def _tables(self) -> list[Path]:
+        log = self.folder.frames_log
+        return [self.folder.run_toml, self.folder.frames_csv, *([log] if log.exists() else [])]
+
+    def _picture(self, path: Path) -> PictureFile:
+        return PictureFile(path, self.size_px, self._taken.get(path.relative_to(self.folder.path).as_posix()))
 
     def _find(self, file: str) -> Path:
         """``file`` is relative to the run folder, or to its ``frames/``."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from flora_common.errors import StoreError
+from flora_common.runs import announced_hashes
 from flora_uploader.ledger import Found
 from flora_uploader.policy import is_of_record, is_photograph, kind_of
 
@@ -18,20 +16,10 @@ BATCH: Final = 200
 """Files looked at before control is given back."""
 
 MAX_DEPTH: Final = 8
-_SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
 class SpoolUnreadable(StoreError):
     """A folder of the spool cannot be listed."""
-
-
-class _FrameLine(msgspec.Struct):
-    path: str = ""
-    file: str = ""
-    sha256: str = ""
-
-
-_FRAME_LINE: Final = msgspec.json.Decoder(_FrameLine)
 
 
 def is_run_folder(path: Path) -> bool:
@@ -126,27 +114,15 @@ def look_at(run: Path, path: str) -> Found | None:
     return Found(path, kind_of(path), status.st_size, status.st_mtime_ns)
 
 
-def announced_hashes(frames_log: Path) -> dict[str, str]:
-    """SHA-256 by path of every photograph in ``frames.jsonl``; the last line of a path counts.
-
-    Lines that are not whole are left out: a power cut may tear the last one.
-    """
+def hashes_of_photographs(frames_log: Path) -> dict[str, str]:
+    """SHA-256 by path of every photograph of the plant in ``frames.jsonl``."""
     try:
         data = frames_log.read_bytes()
     except FileNotFoundError:
         return {}
     except OSError as problem:
         raise SpoolUnreadable(f"{frames_log}: cannot be read ({problem.strerror})") from problem
-    hashes: dict[str, str] = {}
-    for line in data.splitlines():
-        try:
-            frame = _FRAME_LINE.decode(line)
-        except (ValueError, RecursionError):
-            continue
-        path = frame.path or frame.file
-        if path and is_photograph(path) and _SHA256.fullmatch(frame.sha256):
-            hashes[path] = frame.sha256
-    return hashes
+    return {path: sha256 for path, sha256 in announced_hashes(data).items() if is_photograph(path)}
 
 
 def _is_text(name: str) -> bool:

@@ -219,3 +219,5 @@ SPOILERS: Final[dict[str, Spoiler]] = {
     "text": _text,
 }
 KINDS: Final = tuple(SPOILERS)
+AFTER_CAPTURE: Final = ("cut", "cut and ended", "one bit", "many bits", "zeroed", "nothing", "text")
+"""Kinds of damage to a file that was whole when it was taken. The others are what a camera may see or send."""

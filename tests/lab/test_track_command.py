@@ -223,6 +223,52 @@ def test_a_frame_without_points_has_no_row(tmp_path: Path) -> None:
     assert not (tmp_path / "seen" / "00008_0008.jpg").exists()
 
 
+def note_what_was_taken(run: Path) -> None:
+    """``frames.jsonl`` as flora-capture leaves it, its last line torn by a power cut."""
+    taken = [*sorted(run.glob("background/*.jpg")), *sorted(run.glob("frames/*.jpg"))]
+    lines = [
+        json.dumps({"file": path.relative_to(run).as_posix(), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
+        for path in taken
+    ]
+    (run / "frames.jsonl").write_text("\n".join(lines) + '\n{"file":"frames/00')
+
+
+def flip_a_bit(path: Path) -> None:
+    """In the middle of a JPEG's picture data, which every decoder takes."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(bytes(data))
+
+
+def test_a_photograph_that_is_not_what_was_taken_has_no_row(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run, out = make_run(tmp_path / "run", 10, empty=4), tmp_path / "t.csv"
+    note_what_was_taken(run)
+    flip_a_bit(run / "frames" / "0006.jpg")
+    assert main(["track", str(run), "-o", str(out)]) == 0
+    said = capfd.readouterr()
+    assert "10 frames, 8 readings: 8 ok, 1 no_stem, 1 bad_picture" in said.out
+    assert "0006.jpg: SHA-256 is " in said.err
+    assert "not the picture that was taken" in said.err
+    assert read_track(out).time_s.tolist() == [300.0 * i for i in range(10) if i not in (4, 6)]
+    (run / "frames.jsonl").unlink()  # nobody knows better
+    assert main(["track", str(run), "-o", str(tmp_path / "unnoted.csv"), "-q"]) == 0
+    assert 1800.0 in read_track(tmp_path / "unnoted.csv").time_s
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_background_picture_that_is_not_what_was_taken_is_refused(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 10)
+    note_what_was_taken(run)
+    flip_a_bit(run / "background" / "left.jpg")
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--method", method]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert "background/left.jpg: SHA-256 is " in said
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
 def test_a_covariate_of_the_same_name_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run", 10)
     table = (run / "frames.csv").read_text()

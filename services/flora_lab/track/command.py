@@ -174,7 +174,7 @@ def _prepare(
     stage: screen.Stage,
 ) -> tuple[Learnt, Method]:
     """The empty setup, and the method that stands on it."""
-    background = source.folder.background_pictures() if isinstance(source, RunSource) else []
+    background = source.background() if isinstance(source, RunSource) else []
     learns = stage("empty setup", None)
     how: Method
     try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
 import cv2
@@ -23,7 +22,7 @@ from flora_common.vision import setup as setup_matrices
 from flora_common.vision.lamp_states import EmptySetup, LampState
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.picture import Picture, Reduction, read_picture
+from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.setup import SetupMatrices
 from flora_lab.lights import LookRule, ToldRule, light_in_picture, where_lamps_alternate
 from flora_lab.sources import FilmPicture, PictureFile, Source
@@ -127,7 +126,7 @@ def glance_at(picture: PictureFile | FilmPicture) -> tuple[Light, Small] | None:
 
 def path_setup(
     source: Source,
-    background: Sequence[Path],
+    background: Sequence[PictureFile],
     camera: CameraSection,
     settings: PathSettings,
     frames: Sorted,
@@ -141,7 +140,7 @@ def path_setup(
         BadInput: no background, and too few frames to learn from.
     """
     if background:
-        setup = lamp_states.from_background(read_picture(p, expected_size=source.size_px) for p in background)
+        setup = lamp_states.from_background(picture.load(1) for picture in background)
         return Learnt(setup, setup.made_by, setup.pictures, len(setup.states))
     states: list[LampState] = []
     for members in _enough(frames):
@@ -158,7 +157,7 @@ def path_setup(
 
 def paper_setup(
     source: Source,
-    background: Sequence[Path],
+    background: Sequence[PictureFile],
     settings: PaperSettings,
     frames: Sorted,
     *,
@@ -171,7 +170,7 @@ def paper_setup(
         BadInput: no background, and a lamp with too few frames to learn from.
     """
     if background:
-        made = setup_matrices.from_files(background, reduction=settings.reduction, expected_size=source.size_px)
+        made = setup_matrices.from_pictures(picture.load(settings.reduction) for picture in background)
         return Learnt(made, made.made_by, made.pictures, 1)
     learnt: dict[Light, SetupMatrices] = {}
     for light, members in _by_light(frames.lights).items():
