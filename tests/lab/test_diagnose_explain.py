@@ -89,10 +89,30 @@ def test_where_nothing_is_hidden_nothing_is_named() -> None:
 
 def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     explainer = Explainer(scenes_of((80,)), known())
-    late = explained("late").accepted  # a clock has no form that could be wrong
-    assert explainer._needed(()) == explainer.first_claim
-    assert explainer._needed(late) == explainer.second_claim < CLAIM < explainer.first_claim
-    assert explainer._needed((*late, *late)) == explainer.claim
+    explanation = explained("late")
+    late, stage = explanation.accepted, explanation.stages[0]  # a clock has no form that could be wrong
+    assert explainer._needed(stage, ()) == explainer.claim
+    assert explainer._needed(stage, late) == explainer.second_claim < CLAIM <= explainer.claim
+    assert explainer._needed(stage, (*late, *late)) == explainer.claim
+
+
+@pytest.mark.parametrize(
+    ("gains", "besides"),
+    [
+        ({"growth_rate": 5.0, "camera_roll": 1.0}, 0.0),
+        ({"growth_rate": 5.0, "camera_roll": 4.5}, 3.0),  # it may be the other one
+        ({"camera_roll": 5.0, "growth_rate": 4.5}, 3.0),
+        ({"proprioception": 5.0, "growth_rate": 1.0}, 3.0),
+    ],
+)
+def test_what_plants_of_another_law_look_like_needs_more_to_be_named_first(
+    gains: dict[str, float], besides: float
+) -> None:
+    explainer, explanation = Explainer(scenes_of((80,)), known()), explained("late")
+    tried = tuple(Tried(BY_NAME[name], gain, None) for name, gain in gains.items())
+    stage = replace(explanation.stages[0], tried=tried)
+    assert explainer._needed(stage, ()) == explainer.claim + besides
+    assert explainer._needed(stage, explanation.accepted) == explainer.second_claim
 
 
 def test_what_is_too_little_to_be_told_hides_no_cause_with_plain_evidence() -> None:

@@ -29,9 +29,8 @@ _FOUND_IN_HEALTHY: Final = 2.0
 :data:`_BY_CHANCE`; and at most."""
 _BY_CHANCE: Final = 0.5
 _MOST_DOUBT: Final = 4.0
-_FIRST: Final = 3.0
-"""Nats that the first cause needs besides: where nothing is hidden, what is wrong in the form of the law looks like a
-weak cause."""
+_AS_GOOD: Final = 1.0
+"""Nats within which the first cause may be another one, and needs what that one would."""
 SECOND: Final = 2.0
 """Nats that the second cause needs: where one is at work, another is no surprise. Of those with 2 to 4 nats about every
 second one is there (docs/results/discovery.md), and its confidence says so."""
@@ -70,7 +69,6 @@ class Explainer:
         more = max(1.0, len(scenes) / _RUNS)
         doubt = more * _doubt_of(known)
         self.claim = CLAIM + doubt
-        self.first_claim = self.claim + _FIRST
         self.second_claim = SECOND + doubt
         self.nameless = more * NAMELESS + doubt
         self._on_step = on_step
@@ -90,7 +88,11 @@ class Explainer:
                 null = stage.before
             best = stage.tried[0]
             stages.append(stage)
-            if best.gain < self._needed(accepted) or len(accepted) == MOST_CAUSES or self._is_outdone(stage, accepted):
+            if (
+                best.gain < self._needed(stage, accepted)
+                or len(accepted) == MOST_CAUSES
+                or self._is_outdone(stage, accepted)
+            ):
                 break
             accepted.append(Accepted(best, stage))
             if best.swing is not None:
@@ -113,7 +115,8 @@ class Explainer:
                     found = joint.fit(_without(found, last), 12)
                     break
         beside = self._beside(stages[-1], accepted)
-        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, self.first_claim, beside)
+        first = self._needed(stages[0], ())
+        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, first, beside)
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""
@@ -142,10 +145,11 @@ class Explainer:
             stage = self.stage(joint, better, swing)
         return stage
 
-    def _needed(self, accepted: Sequence[Accepted]) -> float:
-        """Nats that one cause more must have."""
+    def _needed(self, stage: Stage, accepted: Sequence[Accepted]) -> float:
+        """Nats that the best cause of a stage must have, on top of those accepted."""
         if not accepted:
-            return self.first_claim
+            as_good = stage.tried[0].gain - _AS_GOOD
+            return self.claim + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
         least = self.second_claim if len(accepted) == 1 else self.claim

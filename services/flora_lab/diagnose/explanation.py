@@ -11,7 +11,8 @@ from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.effect import Effect
 
 CLAIM: Final = 4.0
-"""Nats of evidence that a cause needs beyond those that are named already; the first one needs more."""
+"""Nats of evidence that a cause needs beyond those that are named already; some need more where they come first, and
+the second one less."""
 SWING: Final = "circumnutation"
 BETTER: Final = 4.0
 """Nats by which something without a name must be better than the best cause, which then is not believed."""
@@ -72,7 +73,7 @@ class Explanation:
         stages: how it was come to.
         accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
-        claim: nats that the first cause had to have.
+        claim: nats that the first cause had to have, or would have had to.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
     """
 

@@ -176,6 +176,8 @@ class Effect:
         exactly: those of them that are the same in every light, to the last digit.
         sentence: what it means, given its values.
         prior: how much more often it is met than another one, before any data.
+        first_needs: nats that it needs besides where it is the first cause: plants to which nothing has happened look a
+            little like it, where they grow by another law than ours.
     """
 
     name: str
@@ -187,6 +189,7 @@ class Effect:
     same_as: Mapping[str, str] = field(default_factory=dict)
     exactly: frozenset[str] = frozenset()
     prior: float = 1.0
+    first_needs: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
