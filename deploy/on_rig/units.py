@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ OF_THE_MACHINE = {
     "journald.conf.d/99-flora.conf": Path("/etc/systemd/journald.conf.d/99-flora.conf"),
 }
 """What stays as the newest installation left it; an older release does as well with it."""
+SINCE = "since-"
+"""Unit files in ``since-254/`` are for a systemd of that version and newer."""
 
 
 def install_machine_files(release: str) -> None:
@@ -36,12 +39,9 @@ def install_machine_files(release: str) -> None:
 
 def install_units(release: str) -> bool:
     """Put the release's units in place; True where one changed."""
-    source = RELEASES / release / SHARE / "systemd"
-    files = [
-        path for path in source.rglob("*") if path.is_file() and str(path.relative_to(source)) not in OF_THE_MACHINE
-    ]
-    names = sorted(str(path.relative_to(source)) for path in files)
-    changed = [name for name in names if write_if_other(UNIT_FOLDER / name, (source / name).read_bytes())]
+    files = _unit_files(RELEASES / release / SHARE / "systemd")
+    names = sorted(files)
+    changed = [name for name in names if write_if_other(UNIT_FOLDER / name, files[name].read_bytes())]
     before = MANIFEST.read_text(encoding="utf-8").splitlines() if MANIFEST.is_file() else []
     gone = [name for name in before if name not in names]
     for name in gone:
@@ -51,6 +51,28 @@ def install_units(release: str) -> bool:
         say(f"changed    units: {', '.join([*changed, *(f'{name} (removed)' for name in gone)])}")
         run(["systemctl", "daemon-reload"])
     return bool(changed or gone)
+
+
+def _unit_files(source: Path) -> dict[str, Path]:
+    """Where each unit file comes from, by its name in systemd's folder; those that this systemd is too old for are left
+    out."""
+    found = {}
+    for path in source.rglob("*"):
+        name = str(path.relative_to(source))
+        if not path.is_file() or name in OF_THE_MACHINE:
+            continue
+        first, _, rest = name.partition("/")
+        if not first.startswith(SINCE):
+            found[name] = path
+        elif systemd_version() >= int(first.removeprefix(SINCE)):
+            found[rest] = path
+    return found
+
+
+def systemd_version() -> int:
+    """Of this machine: 252 in Debian 12, 257 in Debian 13; 0 where it does not say."""
+    told = re.match(r"systemd (\d+)", run(["systemctl", "--version"]).stdout)
+    return int(told[1]) if told else 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,6 +107,8 @@ def test_there_and_back_is_the_same_file() -> None:
         assert {n.key: n for n in back.network.nodes} == {n.key: n for n in loaded.network.nodes}
 
 
+# neat-python asks for the time of day in a way that Python 3.12 advises against.
+@pytest.mark.filterwarnings("ignore:datetime.datetime.utcnow:DeprecationWarning")
 def test_the_export_is_neat_pythons_own_but_for_the_time_of_day() -> None:
     for network in random_networks(20, 5):
         table = json.loads(controller_bytes("one", export_of(network), LEFT, {}))["network"]

@@ -23,7 +23,8 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-RELEASE: Final = "bookworm"
+RELEASE: Final = os.environ.get("FLORA_DEBIAN", "bookworm")
+"""As Raspberry Pi OS is named after it; the other one that is supported is `trixie`."""
 MIRROR: Final = "http://deb.debian.org/debian"
 PACKAGES: Final = (
     "systemd",

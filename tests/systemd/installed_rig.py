@@ -126,7 +126,12 @@ class Rig:
 
     def wait_ready(self, within_s: float = 60.0) -> float:
         """Wait for all services; returns for how many seconds."""
-        return self.machine.wait(self.are_ready, within_s=within_s, what="all services ready")
+        try:
+            return self.machine.wait(self.are_ready, within_s=within_s, what="all services ready")
+        except AssertionError as problem:
+            units = (f"{service}.service" for service in SERVICES)
+            said = self.machine.run("systemctl", "status", "--no-pager", "--lines", "8", *units, check=False).stdout
+            raise AssertionError(f"{problem}:\n{said}") from problem
 
     def wait_lit(self) -> None:
         self.machine.wait(lambda: self.box.are_lamps_lit, within_s=90.0, what="a lamp lit")

@@ -125,6 +125,25 @@ def test_a_bundle_cannot_be_called_anything(rig: OnRig, tmp_path: Path, name: An
         rig.releases.read_bundle(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("says", "is_there"), [("systemd 257 (257.8-1~deb13u2)\n+PAM", True), ("systemd 252 (252.39)", False), ("", False)]
+)
+def test_a_unit_file_for_newer_versions_is_left_out_below(
+    rig: OnRig, monkeypatch: pytest.MonkeyPatch, says: str, is_there: bool
+) -> None:
+    rig.release("1", a="a1")
+    newer = rig.releases.RELEASES / "1/share/flora/systemd/since-254/flora-.service.d/20-restart.conf"
+    newer.parent.mkdir(parents=True)
+    newer.write_text("[Service]\nRestartMode=direct\n")
+    monkeypatch.setattr(rig.units, "run", lambda command, **_: CompletedProcess(command, 0, says, ""))
+    assert rig.units.install_units("1")
+    there = {
+        str(path.relative_to(rig.units.UNIT_FOLDER)) for path in rig.units.UNIT_FOLDER.rglob("*.*") if path.is_file()
+    }
+    assert there == {"a.service", *(["flora-.service.d/20-restart.conf"] if is_there else [])}
+    assert not rig.units.install_units("1")
+
+
 def test_units_follow_the_release_and_nothing_of_others_is_touched(rig: OnRig) -> None:
     folder = rig.units.UNIT_FOLDER
     folder.mkdir()

@@ -65,6 +65,7 @@ def test_a_target_that_cannot_be_used_ends_the_start(tmp_path: Path) -> None:
     app = App(tmp_path, tmp_path / "run" / "copies")
     with pytest.raises(ConfigError, match="inside the run folder"):
         build(app)  # type: ignore[arg-type]
+    app.leave()
 
 
 def test_the_ledger_is_locked_also_without_room_for_its_holders_number(tmp_path: Path) -> None:
