@@ -167,7 +167,7 @@ def test_safe_mode_is_the_rig_without_its_control_loop() -> None:
     this = unit(SAFE_MODE)
     assert set(words(this, "Wants")) == set(RIG) - LOOP
     assert set(words(this, "Conflicts")) == LOOP
-    assert one(this, "PartOf") == ANCHOR
+    assert one(this, "StopPropagatedFrom") == ANCHOR
 
 
 def test_who_judges_a_new_release_is_not_among_those_that_it_restarts() -> None:
