@@ -44,7 +44,7 @@ MACHINE: Final = "flora-test-rig"
 BUILT_WITHIN_S: Final = 900.0
 BOOTED_WITHIN_S: Final = 90.0
 AT_REST_WITHIN_S: Final = 400.0
-"""With what starts at boot. From systemd 254 on, that waits for a service that dies again and again to fail for good."""
+"""With what starts at boot. From systemd 254 on, that waits until a service that dies again and again has failed."""
 TOOLS: Final = {
     "systemd-nspawn": "systemd-container",
     "debootstrap": "debootstrap",
