@@ -151,11 +151,13 @@ class RunFolder:
     def announced_hashes(self) -> dict[str, str]:
         """SHA-256 by path of every photograph that ``frames.jsonl`` tells of; none where there is no such file.
 
+        The last line of a path counts. Lines that are not whole are left out: a power cut may tear the last one.
+
         Raises:
             BadRunFolder: it is there and cannot be read.
         """
         try:
-            return announced_hashes(self.frames_log.read_bytes())
+            return _announced_hashes(self.frames_log.read_bytes())
         except FileNotFoundError:
             return {}
         except OSError as problem:
@@ -216,14 +218,7 @@ _FRAME_LINE: Final = msgspec.json.Decoder(_FrameLine)
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
-def announced_hashes(frames_log: bytes) -> dict[str, str]:
-    """SHA-256 by path, as flora-capture has noted them; the last line of a path counts.
-
-    Lines that are not whole are left out: a power cut may tear the last one.
-
-    Args:
-        frames_log: the content of a ``frames.jsonl``.
-    """
+def _announced_hashes(frames_log: bytes) -> dict[str, str]:
     hashes: dict[str, str] = {}
     for line in frames_log.splitlines():
         try:

@@ -35,7 +35,7 @@ def use_cache_of(package: Path) -> None:
     """
     given = os.environ.get(VARIABLE, "")
     sources = fingerprint(package)
-    name = f"{_PREFIX}{lanes.given()}-{sources}" if lanes.given() else f"{_PREFIX}{sources}"
+    name = _PREFIX + "-".join(part for part in (lanes.given(), sources) if part)
     if given and (_PREFIX not in given or Path(given).name.startswith(name)):
         return
     os.environ[VARIABLE] = str(_writable(name, sources, (package / "__pycache__", _of_user())))

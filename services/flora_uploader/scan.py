@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from flora_common.errors import StoreError
-from flora_common.runs import announced_hashes
+from flora_common.errors import BadRunFolder, StoreError
+from flora_common.runs import RunFolder
 from flora_uploader.ledger import Found
 from flora_uploader.policy import is_of_record, is_photograph, kind_of
 
@@ -114,15 +114,13 @@ def look_at(run: Path, path: str) -> Found | None:
     return Found(path, kind_of(path), status.st_size, status.st_mtime_ns)
 
 
-def hashes_of_photographs(frames_log: Path) -> dict[str, str]:
-    """SHA-256 by path of every photograph of the plant in ``frames.jsonl``."""
+def hashes_of_photographs(run: Path) -> dict[str, str]:
+    """SHA-256 by path of every photograph of the plant that a run folder's ``frames.jsonl`` tells of."""
     try:
-        data = frames_log.read_bytes()
-    except FileNotFoundError:
-        return {}
-    except OSError as problem:
-        raise SpoolUnreadable(f"{frames_log}: cannot be read ({problem.strerror})") from problem
-    return {path: sha256 for path, sha256 in announced_hashes(data).items() if is_photograph(path)}
+        announced = RunFolder(run).announced_hashes()
+    except BadRunFolder as problem:
+        raise SpoolUnreadable(str(problem)) from problem
+    return {path: sha256 for path, sha256 in announced.items() if is_photograph(path)}
 
 
 def _is_text(name: str) -> bool:

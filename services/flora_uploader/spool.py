@@ -92,7 +92,7 @@ class Spool:
         seen = scan.look_at(folder, log.name)
         stamp = (seen.size, seen.mtime_ns) if seen else (0, 0)
         if has_new or self._logs_seen.get(name) != stamp:
-            self._ledger.expect(name, scan.hashes_of_photographs(log))
+            self._ledger.expect(name, scan.hashes_of_photographs(folder))
             self._logs_seen[name] = stamp
 
     def _give_up_on_runs_that_are_gone(self) -> None:

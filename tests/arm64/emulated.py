@@ -10,7 +10,6 @@ commands beside their Python, which here are small scripts that call QEMU again.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import os
 import shutil
@@ -24,6 +23,8 @@ sys.path.insert(0, str(REPOSITORY / "deploy"))
 
 import rig_wheels  # noqa: E402
 
+from debian_trees import cached_tree, must_run, packages_lacking  # noqa: E402
+
 QEMU: Final = "qemu-aarch64-static"
 CPU: Final = "cortex-a72"
 """Of a Raspberry Pi 4; that of a 3, Cortex-A53, has the same instructions."""
@@ -32,54 +33,38 @@ RELEASE: Final = "bookworm"
 TARGET: Final = rig_wheels.TARGETS[0]
 BESIDES: Final = ("numba", "scipy", "safetensors", "threadpoolctl", "matplotlib")
 """Packages that the lab needs beyond the rig's; and what they need."""
-BUILT_WITHIN_S: Final = 900.0
-
-
-class NotHere(Exception):
-    """No tree can be made here; the text says why."""
 
 
 def why_not() -> str:
     """Why nothing can be emulated here; empty where it can be tried."""
-    lacking = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
-    if lacking:
-        return f"emulating a Pi's processor takes these packages: apt-get install {' '.join(lacking)}"
+    if lacking := packages_lacking(TOOLS):
+        return f"emulating a Pi's processor takes these packages: apt-get install {lacking}"
     if os.geteuid() != 0:
         return "debootstrap makes a tree for root only"
     return ""
 
 
-def cached_tree() -> Path:
-    """``root`` with Debian's Python and ``site`` with the wheels; made where it is not there yet.
+def debian() -> Path:
+    """``root`` with Debian's Python and ``site`` with the wheels.
 
     Raises:
-        NotHere: it cannot be made, for want of a network as a rule.
+        NotHere: they cannot be made.
     """
-    pinned = rig_wheels.pins()
-    key = hashlib.sha256(repr([RELEASE, TARGET, BESIDES, sorted(pinned.items())]).encode()).hexdigest()[:12]
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flora"
-    tree = cache / f"arm64-{RELEASE}-{key}"
-    if tree.is_dir():
-        return tree
-    new = tree.with_suffix(".new")
-    shutil.rmtree(new, ignore_errors=True)
-    new.mkdir(parents=True)
-    try:
-        _make_root(new / "root")
-        _make_site(new / "site", new / "wheels")
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
-    new.rename(tree)
-    return tree
+    return cached_tree(f"arm64-{RELEASE}", [RELEASE, TARGET, BESIDES, sorted(rig_wheels.pins().items())], _make)
+
+
+def _make(tree: Path) -> None:
+    tree.mkdir()
+    _make_root(tree / "root")
+    _make_site(tree / "site", tree / "wheels")
 
 
 def _make_root(root: Path) -> None:
     """Packages are laid out, and none is set up: that would take programs of theirs, and Python needs none of it."""
     include = "--include=python3,ca-certificates,libsystemd0"
-    _done(["debootstrap", "--arch=arm64", "--foreign", "--variant=minbase", include, RELEASE, str(root)])
+    must_run(["debootstrap", "--arch=arm64", "--foreign", "--variant=minbase", include, RELEASE, str(root)])
     for package in sorted((root / "var/cache/apt/archives").glob("*.deb")):
-        _done(["dpkg-deb", "--extract", str(package), str(root)])
+        must_run(["dpkg-deb", "--extract", str(package), str(root)])
         package.unlink()
 
 
@@ -88,16 +73,9 @@ def _make_site(site: Path, wheels: Path) -> None:
     files = [str(part.file) for part in parts if part.file is not None and part.file.suffix == ".whl"]
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:"]
     pip += [*TARGET.pip_options, "--target", str(site)]
-    _done([*pip, "--no-deps", *files])
-    _done([*pip, "--constraint", str(rig_wheels.CONSTRAINTS), *BESIDES])
+    must_run([*pip, "--no-deps", *files])
+    must_run([*pip, "--constraint", str(rig_wheels.CONSTRAINTS), *BESIDES])
     shutil.rmtree(wheels)
-
-
-def _done(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=BUILT_WITHIN_S, check=False)
-    if done.returncode != 0:
-        lines = (done.stdout + done.stderr).strip().splitlines()
-        raise NotHere(f"{command[0]} failed: {lines[-1] if lines else done.returncode}")
 
 
 class Emulated:
@@ -108,7 +86,7 @@ class Emulated:
     """
 
     def __init__(self, folder: Path) -> None:
-        tree = cached_tree()
+        tree = debian()
         bin_, own = folder / "bin", folder / "own"
         bin_.mkdir(parents=True)
         own.mkdir()

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated import Emulated, NotHere, why_not
+from emulated import Emulated, why_not
+
+from debian_trees import NotHere
 
 pytestmark = pytest.mark.slow
 

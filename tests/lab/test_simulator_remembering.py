@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evolve_courses import courses
 from evolve_simulators import paper
 from simulator_contract import check_contract
 from simulator_fakes import straight_run
@@ -18,7 +19,6 @@ from flora_lab.simulator.interface import History, run
 from flora_lab.simulator.load import load
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.remembering import FEATURES, TRACES_H, RememberingSimulator
-from flora_lab.simulator.rod import jit
 from flora_lab.simulator.store import Extension, Provenance, write_simulator
 
 FACTOR = 4.0
@@ -106,20 +106,10 @@ def test_a_clock_that_can_be_none_is_told(tmp_path: Path) -> None:
         load(written(tmp_path / "still.simulator", mended(), time_scale_factor=0.0))
 
 
-@jit
-def courses(plants: Any, is_right: Any, out: Any) -> None:
-    rows = is_right.shape[1]
-    plants.copy_rows(np.zeros(rows, dtype=np.int64), np.arange(rows), rows)
-    for k in range(len(is_right)):
-        plants.advance(rows, is_right[k], k)
-        plants.points(rows, out[k])
-
-
 def test_controllers_are_evolved_in_the_same_plant() -> None:
     plant = mended()
     is_right = np.random.default_rng(1).random((STEPS, 3)) < 0.5
-    found = np.empty((STEPS, 3, 10, 2))
-    courses(plants_of(plant, LEFT, None, 3), is_right, found)
+    found = courses(plant, is_right)
     light = np.stack([~is_right, is_right], axis=-1).astype(np.float64)
     expected = run(plant, plant.start(np.repeat(LEFT.start_stem_cm[None], 3, axis=0)), light, 300.0)
     assert np.abs(found - expected).max() < 1e-3  # the network's float32

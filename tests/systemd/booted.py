@@ -6,7 +6,6 @@ it, so that each begins with the same empty machine and leaves nothing behind.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -22,6 +21,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+
+from debian_trees import NotHere, cached_tree, must_run, packages_lacking
 
 RELEASE: Final = os.environ.get("FLORA_DEBIAN", "bookworm")
 """As Raspberry Pi OS is named after it; the other one that is supported is `trixie`."""
@@ -41,7 +42,6 @@ PACKAGES: Final = (
 )
 """Of what a Raspberry Pi OS Lite has. python3-systemd is left out: the installation must bring it."""
 MACHINE: Final = "flora-test-rig"
-BUILT_WITHIN_S: Final = 900.0
 BOOTED_WITHIN_S: Final = 90.0
 AT_REST_WITHIN_S: Final = 400.0
 """With what starts at boot. From systemd 254 on, that waits until a service that dies again and again has failed."""
@@ -54,42 +54,27 @@ TOOLS: Final = {
 }
 
 
-class NotHere(Exception):
-    """This machine cannot boot a tree; the text says why."""
-
-
 def why_not() -> str:
     """Why no tree can be booted here; empty where it can be tried."""
     if os.geteuid() != 0:
         return "booting a tree under systemd-nspawn takes root"
-    lacking = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
-    if lacking:
-        return f"booting a tree takes these packages: apt-get install {' '.join(lacking)}"
+    if lacking := packages_lacking(TOOLS):
+        return f"booting a tree takes these packages: apt-get install {lacking}"
     return ""
 
 
-def cached_tree() -> Path:
-    """The tree that every session begins with; made where it is not there yet.
+def debian() -> Path:
+    """The tree that every session begins with.
 
     Raises:
-        NotHere: it cannot be made, for want of a network as a rule.
+        NotHere: it cannot be made.
     """
-    key = hashlib.sha256(" ".join([RELEASE, *PACKAGES]).encode()).hexdigest()[:12]
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flora"
-    tree = cache / f"debian-{RELEASE}-{key}"
-    if tree.is_dir():
-        return tree
-    new = tree.with_suffix(".new")
-    shutil.rmtree(new, ignore_errors=True)
-    new.parent.mkdir(parents=True, exist_ok=True)
-    command = ["debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", RELEASE, str(new), MIRROR]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=BUILT_WITHIN_S)
-    if done.returncode != 0:
-        lines = (done.stdout + done.stderr).strip().splitlines()
-        shutil.rmtree(new, ignore_errors=True)
-        raise NotHere(f"debootstrap of {RELEASE} failed: {lines[-1] if lines else done.returncode}")
-    new.rename(tree)
-    return tree
+    include = f"--include={','.join(PACKAGES)}"
+    return cached_tree(
+        f"debian-{RELEASE}",
+        [RELEASE, *PACKAGES],
+        lambda tree: must_run(["debootstrap", "--variant=minbase", include, RELEASE, str(tree), MIRROR]),
+    )
 
 
 def free_port() -> int:
@@ -116,7 +101,7 @@ class Machine:
         self._leader = 0
         for name in ("upper", "work", "root", "bin"):
             (folder / name).mkdir()
-        layers = f"lowerdir={cached_tree()},upperdir={folder / 'upper'},workdir={folder / 'work'}"
+        layers = f"lowerdir={debian()},upperdir={folder / 'upper'},workdir={folder / 'work'}"
         mounted = subprocess.run(
             ["mount", "-t", "overlay", "flora-test", "-o", layers, str(self.root)], capture_output=True, text=True
         )
