@@ -14,10 +14,11 @@ from device_fakes import FakeApp
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.messages import Stored
-from flora_uploader import reserve
+from flora_uploader import actions, reserve
 from flora_uploader.config import UploaderSection
 from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, LedgerProblem, _lock
 from flora_uploader.main import LEDGER_AGAIN_S, RESERVE_EVERY_S, build
+from flora_uploader.retention import DiskUse
 
 
 class App(FakeApp):
@@ -32,6 +33,13 @@ class App(FakeApp):
         self.states.append((state, reason))
 
 
+@pytest.fixture
+def roomy_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk of whoever runs these tests may be so full that the service is rightly degraded."""
+    monkeypatch.setattr(actions, "disk_use", lambda folder: DiskUse(percent_free=90.0))
+
+
+@pytest.mark.usefixtures("roomy_disk")
 def test_a_ledger_that_cannot_be_opened_is_told_and_tried_again(tmp_path: Path) -> None:
     nas = tmp_path / "nas"
     nas.mkdir()

@@ -6,7 +6,6 @@ hardly any of it; one that leaves only :func:`unsure_of_end` shows the stem, and
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final
 
@@ -19,7 +18,7 @@ from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.looks import has_neck, leaf_from
 from flora_common.vision.path.sampler import Sampler, arc_length
-from flora_common.vision.path.strands import ByteArray, End, Strand, Strands
+from flora_common.vision.path.strands import ByteArray, Strands
 
 LEAST_COVER: Final = 0.75
 """Share of the line that must lie on plant."""
@@ -35,15 +34,9 @@ UNSURE_BEYOND_CM: Final = 1.0
 """Plant that goes on by more than this above the tip, or ahead of it, may be the stem."""
 HEADING_CM, CONE = 0.8, 0.6
 """Ahead is what lies within this slope to either side of the last piece of so much of the stem."""
-RISES_CM, UPRIGHT = 1.2, 0.8
-"""Another stem is as long as this, and leans by less."""
-FOOT_CM, BESIDE_CM = 1.0, 1.0
-"""Its foot is no higher above the anchor's height than the first, and farther aside than the second."""
 ASIDE_CM: Final = 1.0
 """A line whose first seen piece begins farther aside from the anchor than this, and than above it, is another plant's:
 what hides a base, a rim or soil, hides it below."""
-ALIKE: Final = 0.5
-"""In shares of the stem's: how clear and thick it is at least."""
 FADED, FADED_SHARE = 2.0, 0.45
 """Evidence before the tip, in shares of the least that counts, and its share of that below, under which the stem has
 faded and may go on unseen."""
@@ -52,7 +45,6 @@ STEADY, STEADY_CM = 0.8, 3.0
 noise there is."""
 BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
 ANOTHER_PART: Final = "another part of the plant may as well be the stem"
-ANOTHER_STEM: Final = "something else rises beside the anchor as a stem does"
 LONGEST_UNSEEN_CM: Final = 2.4
 """In a picture by itself: over a longer gap what goes on may be another plant's stem, and what hides it its leaf."""
 
@@ -109,36 +101,6 @@ def fades(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
     if here < FADED_SHARE * below or (here < FADED * sampler.least and not is_steady):
         return "the stem fades before it ends: it looks like what is behind it"
     return ""
-
-
-def another_stem(
-    line_px: FloatArray, strength: float, width_px: float, pieces: Iterable[Strand], camera: CameraSection
-) -> bool:
-    """Whether something else rises from the height of the anchor, as thick and as clear as the stem: another plant.
-
-    Args:
-        line_px: the stem, shape (n, 2).
-        strength, width_px: of it: evidence along it, and across.
-        pieces: all that look like stem.
-        camera: anchor and scale.
-    """
-    scale, (x, y) = camera.px_per_cm, camera.anchor_px
-    for piece in pieces:
-        low = piece if piece.points[0, 1] > piece.points[-1, 1] else piece.reversed()
-        foot = low.points[0]
-        rise = foot - low.points[min(len(low.points) - 1, round(RISES_CM * scale))]
-        if (
-            piece.length > RISES_CM * scale
-            and low.ends[0] is not End.LEAF
-            and abs(foot[0] - x) > BESIDE_CM * scale
-            and y - foot[1] < FOOT_CM * scale
-            and abs(rise[0]) < UPRIGHT * rise[1]
-            and float(np.median(piece.strength)) > ALIKE * strength
-            and float(np.median(piece.width)) > ALIKE * width_px
-            and float(np.hypot(*(line_px - foot).T).min()) > BESIDE_CM * scale
-        ):
-            return True
-    return False
 
 
 def unseen(gap_cm: float) -> str:

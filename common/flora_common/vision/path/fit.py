@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.runs import CameraSection
-from flora_common.vision.path import along_way, curve, doubts, forks, nearby
+from flora_common.vision.path import along_way, curve, doubts, forks, nearby, neighbours
 from flora_common.vision.path.apex import Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Stem
@@ -202,8 +202,11 @@ class Fitter:
         unsure = along_way.unsure(way, fit.reached, sight.ways, scale, is_first=is_first)
         if is_first and not unsure:
             strength, width = float(np.median(sampler.plant(final.line))), float(np.median(final.width))
-            if doubts.another_stem(final.line, strength, width, sight.strands.pieces, self._camera):
-                unsure = doubts.ANOTHER_STEM
+            pieces = sight.strands.pieces
+            if neighbours.another_stem(final.line, strength, width, pieces, self._camera):
+                unsure = neighbours.BESIDE
+            elif neighbours.goes_over(final.line, strength, pieces, self._camera):
+                unsure = neighbours.GOES_OVER
         if fit.held:
             unsure = doubts.ANOTHER_PART
         unsure = doubts.fades(final, sampler, scale) or doubts.ends_in_leaf(final, sampler, scale) or unsure
@@ -238,8 +241,10 @@ class Fitter:
         if alone and not sure:
             unsure = doubts.unseen(unseen_cm)
         width = float(np.nanmedian(chain.width))
-        if doubts.another_stem(chain.points, chain.strength, width, strands.pieces, camera):
-            unsure = doubts.ANOTHER_STEM
+        if neighbours.another_stem(chain.points, chain.strength, width, strands.pieces, camera):
+            unsure = neighbours.BESIDE
+        elif past.before is None and neighbours.goes_over(final.line, chain.strength, strands.pieces, camera):
+            unsure = neighbours.GOES_OVER
         if doubts.begins_aside(chain, camera):
             unsure = doubts.BEGINS_ASIDE
         if petiole:

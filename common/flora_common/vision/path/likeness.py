@@ -9,7 +9,8 @@ Noise is no structure: a bare board in a dim box has none to go by, and is not h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -57,12 +58,15 @@ class Likeness:
         elsewhere: share of the squares that show something else.
         worst_band: the lowest median of the correlation over a level band of the picture. A JPEG file whose bits were
             flipped goes on moved, or tinted, from a row on.
+        uneven: the largest step of the slow deviation from the setup, code units from one square to the next. Flash,
+            exposure and lamps change little from one to the next; an arm, or fog, does.
     """
 
     correlation: float = 1.0
     gain: float = 1.0
     elsewhere: float = 0.0
     worst_band: float = 1.0
+    uneven: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +75,7 @@ class Demands:
 
     Attributes:
         changed: share of the picture away from the plant that differs.
-        correlation, worst_band, gain, elsewhere: as in :class:`Likeness`.
+        correlation, worst_band, gain, elsewhere, uneven: as in :class:`Likeness`.
     """
 
     changed: float
@@ -79,6 +83,7 @@ class Demands:
     worst_band: float
     gain: float
     elsewhere: float
+    uneven: float = math.inf
 
     def unmet(self, changed: float, likeness: Likeness) -> str:
         """Why a picture shows nothing that could be believed, one clause; empty where it does."""
@@ -92,11 +97,13 @@ class Demands:
             return "part of the setup cannot be recognised; something stands before it, or the picture is torn"
         if likeness.gain < self.gain:
             return f"fine detail has {likeness.gain:.0%} of its contrast; dark, blurred or fogged"
+        if likeness.uneven > self.uneven:
+            return "part of the picture is lighter or darker than the empty setup; something large stands before it"
         return ""
 
 
 USUAL: Final = Demands(changed=0.01, correlation=0.85, worst_band=0.75, gain=0.68, elsewhere=0.25)
-OF_THE_FIRST: Final = Demands(changed=0.006, correlation=0.93, worst_band=0.85, gain=0.8, elsewhere=0.15)
+OF_THE_FIRST: Final = Demands(changed=0.006, correlation=0.93, worst_band=0.85, gain=0.8, elsewhere=0.15, uneven=14.0)
 OF_FRAMES: Final = Demands(changed=0.15, correlation=-1.0, worst_band=-1.0, gain=0.0, elsewhere=1.0)
 """A setup learnt from the plant's own pictures has ghosts of it."""
 
@@ -134,15 +141,15 @@ class SetupLikeness:
         squares, noise = _structure(survey.coarse)
         hidden = self._hidden(survey)
         likely = self._one(survey.number, squares, noise, hidden)
-        if likely is not None and not OF_THE_FIRST.unmet(0.0, likely):
-            return likely
-        all_states = (self._one(number, squares, noise, hidden) for number in range(len(self._states)))
-        # most squares look alike under either lamp: those that differ tell the state
-        return max(
-            (one for one in all_states if one is not None),
-            key=lambda one: one.correlation + one.worst_band - one.elsewhere,
-            default=Likeness(),
-        )
+        if likely is None or OF_THE_FIRST.unmet(0.0, likely):
+            all_states = (self._one(number, squares, noise, hidden) for number in range(len(self._states)))
+            # most squares look alike under either lamp: those that differ tell the state
+            likely = max(
+                (one for one in all_states if one is not None),
+                key=lambda one: one.correlation + one.worst_band - one.elsewhere,
+                default=Likeness(),
+            )
+        return replace(likely, uneven=_largest_step(survey.slow))
 
     def _one(
         self, number: int, squares: Float32Array, noise: Float32Array, hidden: npt.NDArray[np.bool_]
@@ -182,6 +189,12 @@ class SetupLikeness:
             if some.size >= LEAST_OF_BAND:
                 worst = min(worst, float(median(some)))
         return worst
+
+
+def _largest_step(slow: Float32Array) -> float:
+    """From one square to the next one beside or below it, in any channel; shape (rows, columns, 3)."""
+    steps = (np.abs(np.diff(slow, axis=axis)) for axis in (0, 1))
+    return max(float(step.max(initial=0.0)) for step in steps)
 
 
 def _structure(coarse: Picture) -> tuple[Float32Array, Float32Array]:

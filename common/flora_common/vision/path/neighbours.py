@@ -1,0 +1,108 @@
+"""Other plants beside the one at the anchor: whether something rises there, and whether the line goes over to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import numpy as np
+
+from flora_common.geometry import FloatArray
+from flora_common.runs import CameraSection
+from flora_common.vision.path.sampler import arc_length, places_along
+from flora_common.vision.path.strands import End, Strand
+
+RISES_CM, UPRIGHT = 1.2, 0.8
+"""Another stem is as long as this, and leans by less."""
+FOOT_CM, BESIDE_CM = 1.0, 1.0
+"""Its foot is no higher above the anchor's height than the first, and farther aside than the second."""
+ALIKE: Final = 0.5
+"""In shares of the stem's: how clear and thick it is at least."""
+LEADS_FOOT_CM, LEADS_RISES_CM, LEADS_ALIKE = 2.0, 0.9, 0.2
+"""The same of one to which the line goes over: higher up, shorter, fainter, for that is another sign of it."""
+LEADS_CM, ALONG_CM, ALONG_FOR_CM = 8.0, 1.0, 0.5
+"""So far it leads on from what is seen of it. A line within the second of that, over the third, goes over to it."""
+STEPS_RAD, STEPS_CM, CHORD_CM, EVERY_CM = 0.6, 1.0, 0.3, 0.1
+"""A line steps aside that is turned by the first from how it goes at the second below, and as much above; told of
+chords of the third, every fourth. Of good pictures' stems the most is 0.43."""
+BESIDE: Final = "something else rises beside the anchor as a stem does"
+GOES_OVER: Final = "the line goes over to what may be another plant beside the anchor"
+
+
+def another_stem(
+    line_px: FloatArray, strength: float, width_px: float, pieces: Iterable[Strand], camera: CameraSection
+) -> bool:
+    """Whether something else rises from the height of the anchor, as thick and as clear as the stem: another plant.
+
+    Args:
+        line_px: the stem, shape (n, 2).
+        strength, width_px: of it: evidence along it, and across.
+        pieces: all that look like stem.
+        camera: anchor and scale.
+    """
+    return any(
+        float(np.median(piece.strength)) > ALIKE * strength and float(np.median(piece.width)) > ALIKE * width_px
+        for piece in _rising(line_px, pieces, camera, RISES_CM, FOOT_CM)
+    )
+
+
+def goes_over(line_px: FloatArray, strength: float, pieces: Iterable[Strand], camera: CameraSection) -> bool:
+    """Whether a line may leave the plant at the anchor for another one.
+
+    It does where it goes on as a stem beside the anchor leads, or where it steps aside: it lies level for a little, and
+    goes on as it was. Stems grow round bends, and hang down, but do not step aside.
+
+    Args:
+        line_px, strength, pieces, camera: as of :func:`another_stem`.
+    """
+    scale = camera.px_per_cm
+    return _steps_aside(line_px, scale) or any(
+        float(np.median(piece.strength)) > LEADS_ALIKE * strength and _is_along(line_px, piece, scale)
+        for piece in _rising(line_px, pieces, camera, LEADS_RISES_CM, LEADS_FOOT_CM)
+    )
+
+
+def _rising(
+    line_px: FloatArray, pieces: Iterable[Strand], camera: CameraSection, rises_cm: float, foot_cm: float
+) -> Iterator[Strand]:
+    """The pieces that rise beside the anchor and are none of the line's, from their feet up."""
+    scale, (x, y) = camera.px_per_cm, camera.anchor_px
+    for piece in pieces:
+        low = piece if piece.points[0, 1] > piece.points[-1, 1] else piece.reversed()
+        foot = low.points[0]
+        rise = foot - low.points[min(len(low.points) - 1, round(RISES_CM * scale))]
+        if (
+            piece.length > rises_cm * scale
+            and low.ends[0] is not End.LEAF
+            and abs(foot[0] - x) > BESIDE_CM * scale
+            and y - foot[1] < foot_cm * scale
+            and abs(rise[0]) < UPRIGHT * rise[1]
+            and float(np.hypot(*(line_px - foot).T).min()) > BESIDE_CM * scale
+        ):
+            yield low
+
+
+def _is_along(line_px: FloatArray, piece: Strand, px_per_cm: float) -> bool:
+    """Whether a line goes along a piece of stem, or along where it leads from its top."""
+    points = piece.points
+    ahead = points[-1] - points[0]
+    ahead = ahead / max(1e-9, float(np.hypot(*ahead)))
+    onwards = points[-1] + np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * ahead
+    places = np.concatenate([points[::2], onwards])
+    s = arc_length(line_px)
+    even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * px_per_cm))
+    away = np.hypot(*(even[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
+    return bool(np.count_nonzero(away < ALONG_CM * px_per_cm) * EVERY_CM > ALONG_FOR_CM)
+
+
+def _steps_aside(line_px: FloatArray, px_per_cm: float) -> bool:
+    s = arc_length(line_px)
+    even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * px_per_cm))
+    chord, apart = round(CHORD_CM / EVERY_CM), round(STEPS_CM / EVERY_CM)
+    if len(even) < chord + 2 * apart + 1:
+        return False
+    step = even[chord:] - even[:-chord]
+    angle = np.unwrap(np.arctan2(step[:, 0], -step[:, 1]))
+    here = angle[apart:-apart]
+    below, above = here - angle[: -2 * apart], here - angle[2 * apart :]
+    return bool(((np.sign(below) == np.sign(above)) & (np.minimum(np.abs(below), np.abs(above)) > STEPS_RAD)).any())
