@@ -64,7 +64,9 @@ def test_stems_are_the_same(pi: Emulated, tmp_path: Path) -> None:
         track("flora-lab", "track", frames.parent, "-o", output, "--jobs", "1", "-q")
         found.append(read(output))
     assert len(found[0]) > 30
-    assert_same_stems(*found)
+    apart_cm = stems_apart_cm(*found)
+    assert np.nanmax(apart_cm) < CHOSEN_OTHERWISE_CM
+    assert np.nanmean(apart_cm < SAME_CM) > 0.98
 
 
 def test_the_whole_rig_runs(pi: Emulated, tmp_path: Path) -> None:
@@ -79,7 +81,8 @@ def test_the_whole_rig_runs(pi: Emulated, tmp_path: Path) -> None:
         # What is photographed while the rig is stopped depends on how fast that goes.
         found.append([row for row in read(track) if float(row["time_s"]) <= 2 * 3600.0])
     assert len(found[0]) == 25
-    assert_same_stems(*found)
+    # A rig that begins a tick later photographs with other noise, so that only the plant is the same.
+    assert np.nanmax(stems_apart_cm(*found)) < CHOSEN_OTHERWISE_CM
 
 
 def read(track: Path) -> list[dict[str, str]]:
@@ -87,13 +90,11 @@ def read(track: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def assert_same_stems(ours: list[dict[str, str]], theirs: list[dict[str, str]]) -> None:
-    """The same lamps at the same times, and points that are as near as makes no difference."""
+def stems_apart_cm(ours: list[dict[str, str]], theirs: list[dict[str, str]]) -> np.ndarray:
+    """How far points lie apart, along either axis; shape (rows, 20). The same lamps at the same times are demanded."""
     assert [(row["time_s"], row["light"]) for row in theirs] == [(row["time_s"], row["light"]) for row in ours]
     points = [f"{axis}{number}" for number in range(1, 11) for axis in "xy"]
     stems = [np.array([[float(row[name] or "nan") for name in points] for row in rows]) for rows in (ours, theirs)]
     assert np.isfinite(stems[0]).mean() > 0.9
     assert np.array_equal(np.isfinite(stems[0]), np.isfinite(stems[1]))
-    apart_cm = np.abs(stems[1] - stems[0])
-    assert np.nanmax(apart_cm) < CHOSEN_OTHERWISE_CM
-    assert np.nanmean(apart_cm < SAME_CM) > 0.98
+    return np.abs(stems[1] - stems[0])
