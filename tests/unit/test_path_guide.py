@@ -13,6 +13,7 @@ from flora_common.vision.path import along_way, convolutions, guide
 from flora_common.vision.path.convolutions import EXACT, HEAD, LAYERS, MOST, Layer, Network, convolved
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Way
+from flora_common.vision.path.sampler import normals
 from guide.canvas import PX_PER_CM
 from guide.examples import Example
 from guide.wild import wild_example
@@ -141,6 +142,51 @@ def test_an_apex_behind_a_gap_is_less_sure_than_one_on_the_stem() -> None:
     assert [round(float(one.tip_px[0])) for one in ways] == [
         round(float(maps.to_px(np.array([x, 0.0]))[0])) for x in (12.0, 40.0)
     ]
+
+
+def bowed(line: FloatArray, aside_px: float) -> FloatArray:
+    """A line that is so far off in its middle, and not at its ends."""
+    share = np.sin(np.linspace(0.0, np.pi, len(line)))[:, None]
+    return np.asarray(line + share * aside_px * normals(line), dtype=np.float64)
+
+
+@pytest.mark.parametrize("aside_cm", [-0.35, 0.35])
+def test_a_known_line_is_moved_to_the_middle_of_what_is_likely(aside_cm: float) -> None:
+    maps = maps_of(seen(wild_example(HELD_OUT[0])))
+    rows, columns = np.indices((60, 50))
+    maps.stem = 0.9 * np.exp(-0.5 * ((columns - 25.0 - 4.0 * np.sin(rows / 20.0)) / 0.8) ** 2)
+    y = np.linspace(55.0, 8.0, 300)
+    true = maps.to_px(np.column_stack([25.0 + 4.0 * np.sin(y / 20.0), y]))
+    line, along = guide.in_middle(maps, bowed(true, aside_cm * PX_PER_CM), PX_PER_CM)
+    assert np.array_equal(line[[0, -1]], true[[0, -1]])
+    off_cm = np.hypot(*(line[:, None] - true[None]).transpose(2, 0, 1)).min(axis=1) / PX_PER_CM
+    assert off_cm.max() < 0.12
+    assert np.median(off_cm) < 0.02, "which was 0.25 cm off"
+    assert np.median(along) > 0.7
+
+
+def test_a_known_line_where_nothing_is_likely_is_not_sure() -> None:
+    maps = maps_of(seen(wild_example(HELD_OUT[0])))
+    maps.stem = np.full((60, 50), 1e-4)
+    line = maps.to_px(np.column_stack([np.full(200, 25.0), np.linspace(55.0, 8.0, 200)]))
+    kept, along = guide.in_middle(maps, line, PX_PER_CM)
+    assert np.abs(kept - line).max() < 0.01 * PX_PER_CM
+    assert along.max() < 0.01
+
+
+def test_a_stem_that_swung_is_found_again_and_one_that_is_gone_is_not_sure() -> None:
+    moved_cm, sure, gone = [], [], []
+    for seed in HELD_OUT[:20]:
+        example = wild_example(seed)
+        evidence = seen(example)
+        line = (example.line + evidence.origin_px).astype(np.float64)
+        way = guide.near(evidence, bowed(line, 0.3 * PX_PER_CM), PX_PER_CM)
+        apart = np.hypot(*(way.line_px[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1)
+        moved_cm.append(float(np.median(apart)) / PX_PER_CM)
+        sure.append(way.sure)
+        gone.append(guide.near(evidence, bowed(line, 2.0 * PX_PER_CM), PX_PER_CM).sure)
+    assert np.median(moved_cm) < 0.06, "which was 0.2 cm off"
+    assert np.median(sure) > 3.0 * np.median(gone)
 
 
 @pytest.mark.parametrize(("sure", "beyond_cm"), [(0.1, 0.0), (0.275, 0.02), (0.35, 0.04), (0.9, 0.04)])

@@ -25,6 +25,7 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Float32Array, Layer, Network
 from flora_common.vision.path.evidence import Evidence
+from flora_common.vision.path.sampler import arc_length, normals, places_along
 
 WEIGHTS: Final = "guide.npz"
 INPUT_PX_PER_CM: Final = 12.0
@@ -52,6 +53,16 @@ DEAREST: Final = 900.0
 """Cost of a way of 30 cm with a gap of 2.4 cm; what is not reached for that is no apex of this plant."""
 WEAKEST_OVER: Final = 13
 """Steps of a way over which its likelihood is averaged: 2 cm."""
+_EVEN: Final = np.full(2 * SMOOTHED_OVER + 1, 1.0 / (2 * SMOOTHED_OVER + 1))
+ALONG_CM: Final = 2.0 / INPUT_PX_PER_CM
+"""A pixel of the maps."""
+ASIDE_CM, ASIDE_SPREAD_CM, ASIDE_PLACES, ASIDE_TIMES = 0.7, 0.35, 17, 2
+"""So far to either side of where it was the stem's middle is looked for, with this standard deviation, in so many
+places, so many times: it moves by 0.3 cm from one picture to the next where it moves most."""
+LEAST_ASIDE: Final = 1e-4
+"""Square of a likelihood; where it is no greater to either side, the line stays where it is."""
+PLAIN_ALONG: Final = 0.4
+"""A known stem is as sure as its apex where its way is likelier than this."""
 IntArray = npt.NDArray[np.intp]
 
 
@@ -114,6 +125,13 @@ class Maps:
     def from_px(self, places_px: FloatArray) -> FloatArray:
         """The reverse."""
         return np.asarray((places_px - self._origin + 0.5) / self._step - 0.5, dtype=np.float64)
+
+    def stem_at(self, places_px: FloatArray) -> FloatArray:
+        """How likely places (..., 2) of the full picture are the stem's middle, linear between pixels, 0 outside."""
+        x, y = (np.asarray(v, dtype=np.float32) for v in np.moveaxis(self.from_px(places_px), -1, 0))
+        rows = x.reshape(len(x), -1), y.reshape(len(y), -1)
+        found = cv2.remap(self.stem.astype(np.float32), *rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.asarray(found, dtype=np.float64).reshape(x.shape)
 
     def peaks(self) -> list[tuple[int, int]]:
         """The likeliest apices, rows and columns, likeliest first."""
@@ -227,9 +245,48 @@ def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
     """
     maps = Maps(evidence, px_per_cm, line_px[-1], NEAR_SEEN_CM)
     pixel = maps.nearest_peak(line_px[-1], NEAR_CM * px_per_cm)
-    tip, sure = maps.about(pixel), float(maps.apex[pixel])
-    line = drawn_to(line_px, tip, SECTION_CM * px_per_cm)
-    return Way(tip, sure, line, np.zeros(0))
+    tip = maps.about(pixel)
+    line, along = in_middle(maps, drawn_to(line_px, tip, SECTION_CM * px_per_cm), px_per_cm)
+    return Way(tip, float(maps.apex[pixel]) * min(1.0, _weakest(along) / PLAIN_ALONG), line, along)
+
+
+def in_middle(maps: Maps, line_px: FloatArray, px_per_cm: float) -> tuple[FloatArray, FloatArray]:
+    """A line that was the stem's middle, moved to where that is now, its end as it is; and how likely it is that.
+
+    Only what lies in the maps is moved, from where the line comes into them for the last time.
+
+    Args:
+        maps: of a part of the picture.
+        line_px: shape (n, 2), px of the full picture.
+        px_per_cm: scale.
+
+    Returns:
+        The line, of the same shape; and the likelihood along what lies in the maps, every :data:`ALONG_CM`.
+    """
+    s = arc_length(line_px)
+    count = max(2, round(float(s[-1]) / (ALONG_CM * px_per_cm)))
+    at = np.linspace(0.0, float(s[-1]), count)
+    places = places_along(line_px, s, at)
+    size = np.array(maps.stem.shape[::-1])
+    outside = np.flatnonzero(((maps.from_px(places) < 0.0) | (maps.from_px(places) > size - 1.0)).any(axis=1))
+    first = int(outside[-1]) + 1 if outside.size else 0
+    if count - first < 3:
+        return line_px, np.zeros(1)
+    at, places = at[first:], places[first:]
+    offsets = np.linspace(-ASIDE_CM, ASIDE_CM, ASIDE_PLACES) * px_per_cm
+    from_end = np.minimum(np.arange(len(at)), np.arange(len(at))[::-1])
+    nearer = np.exp(-0.5 * (offsets / (ASIDE_SPREAD_CM * px_per_cm)) ** 2)
+    moved = places
+    for _ in range(ASIDE_TIMES):
+        across = normals(moved)
+        likely = maps.stem_at(moved[:, None] + offsets[:, None] * across[:, None])
+        weights = likely**2 * nearer + LEAST_ASIDE
+        aside = (weights * offsets).sum(axis=1) / weights.sum(axis=1)
+        aside = np.convolve(np.pad(aside, SMOOTHED_OVER, mode="edge"), _EVEN, mode="valid")
+        aside *= np.minimum(1.0, from_end / (2.0 * SMOOTHED_OVER))
+        moved = moved + aside[:, None] * across
+    shift = np.column_stack([np.interp(s, at, (moved - places)[:, k], left=0.0) for k in range(2)])
+    return line_px + shift, maps.stem_at(moved)
 
 
 def _centred(likely: FloatArray, way: IntArray) -> FloatArray:

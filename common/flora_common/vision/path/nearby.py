@@ -25,8 +25,8 @@ from flora_common.vision.path.sampler import Sampler, arc_length
 from flora_common.vision.path.survey import ByteArray, Survey
 from flora_common.vision.path.tip import Tip, find_tip
 
-MOST_LOOKS: Final = 4
-"""Pictures in a row of which only a part is looked at."""
+MOST_LOOKS: Final = 11
+"""Pictures in a row of which only a part is looked at: the whole one is every hour."""
 LONGEST_S: Final = 1200.0
 """A stem that was seen longer ago may be anywhere."""
 MARGIN_CM: Final = 1.5
@@ -57,18 +57,18 @@ DETOUR_CM: Final = 0.6
 LEAP_CM: Final = 2.5
 """No tip moves so far from one picture to the next."""
 OTHER_PLANT: Final = 0.35
-"""Share by which more or less of the picture looks like plant than in the last whole one, at most."""
+"""Share by which more or less of the picture looks like plant than in the one before, at most."""
 REACHES_IN_CM: Final = 1.0
 """Plant may touch the picture's sides and upper edge over this length."""
 
 
 class Nearby(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the last look at a whole picture told, for those near the stem that follow it.
+    """What the last look at a whole picture told, and the looks since, for those near the stem that follow.
 
     Attributes:
         lamps: number of the lamp state.
         noise: standard deviation of the evidence of plant.
-        plant_pixels: how many pixels were plant.
+        plant_pixels: how many pixels were plant in the picture before.
         width_px: of the stem, at the anchor and at the tip.
         sure_px: distance from the anchor up to which it was sure, without being carried on to its tip.
         bends_from_px: distance from the anchor from which it bends tightly; None where it does not.
@@ -93,6 +93,11 @@ def after(stem: Stem, sure_px: float, evidence: Evidence, *, is_guided: bool) ->
     return Nearby(
         evidence.lamps, evidence.noise, evidence.plant_pixels, width, sure_px, bends_from, is_guided=is_guided
     )
+
+
+def again(near: Nearby, survey: Survey) -> Nearby:
+    """What is known after another look near the stem."""
+    return msgspec.structs.replace(near, plant_pixels=survey.plant_pixels, looks=near.looks + 1)
 
 
 def since_clear(near: Nearby | None, stem: Stem, before: Before | None, px_per_cm: float) -> Nearby | None:

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from flora_common.geometry import FloatArray, resample_by_height
@@ -157,7 +156,7 @@ class PathTracker:
             above_cm, ahead_cm = (nearby.DOUBTS_SOONER * v / scale for v in beyond)
             if doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm):
                 return None
-        near = msgspec.structs.replace(memory.near, looks=memory.near.looks + 1)
+        near = nearby.again(memory.near, survey)
         state = State(belief, stem.length / scale, followed, apex, near)
         reading, after = self._told(final, state, evidence, "", "")
         if reading.outcome != OK:
