@@ -152,14 +152,18 @@ def _build_own_wheel(folder: Path) -> None:
 
 
 def _name(folder: Path, parts: list[Part], target: Target) -> tuple[str, dict[str, object]]:
-    """The same content has the same name: version, commit, and a hash where it is not just that commit."""
+    """The same content has the same name: version, commit, Python, and a hash where it is not just that commit.
+
+    A release is an environment of one Python: after an upgrade of the rig's Debian the same commit is another release.
+    """
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     content = hashlib.sha256(target.key.encode())
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         content.update(f"{path.relative_to(folder)}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     commit = _git("rev-parse", "--short=10", "HEAD")
     is_clean = commit != "" and _git("status", "--porcelain", "--", ".") == ""
-    words = [version, *([commit] if commit else []), *([] if is_clean else [content.hexdigest()[:10]])]
+    hashed = [] if is_clean else [content.hexdigest()[:10]]
+    words = [version, *([commit] if commit else []), f"py{target.python}", *hashed]
     name = "-".join(words)
     packages = {part.name: part.version for part in parts}
     about = {"release": name, "version": version, "commit": commit, "is_clean": is_clean, "packages": packages}

@@ -6,6 +6,7 @@ The file is never removed: who removes a lock lets two processes hold one each.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from pathlib import Path
@@ -33,7 +34,7 @@ def hold(path: Path) -> int:
         AlreadyHeld: another process was first.
         OSError: the file cannot be opened or made.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    descriptor = _opened(path)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -43,8 +44,18 @@ def hold(path: Path) -> int:
     except BaseException:
         os.close(descriptor)
         raise
-    # On a full disk the lock holds all the same, its holder only stays nameless: the plant needs its lamps.
+    # On a full or read-only disk it holds all the same, its holder only stays nameless: the plant needs its lamps.
     with contextlib.suppress(OSError):
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return descriptor
+
+
+def _opened(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as problem:
+        if problem.errno != errno.EROFS:
+            raise
+        # A card at its end is mounted read-only; the kernel locks a file that can only be read, too.
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -33,6 +33,7 @@ MAX_KEPT_BYTES: Final = 4 << 20
 """Last values kept, in number and bytes; more come only from a faulty or hostile publisher. A rig has about twenty."""
 
 MAX_TIME_BYTES: Final = 64
+"""Of the frames after the payload, all together: queues are bounded in messages, so that messages must be bounded."""
 SUBSCRIBE: Final = b"\x01"
 
 
@@ -74,7 +75,7 @@ class LastValues:
         before = self._kept.pop(key, None)
         if before is not None:
             self._bytes -= len(before[1])
-        self._kept[key] = [*parts[:2], parts[2][:MAX_TIME_BYTES]]
+        self._kept[key] = parts[:3]
         self._bytes += len(parts[1])
         while len(self._kept) > MAX_KEPT or self._bytes > MAX_KEPT_BYTES:
             self._bytes -= len(self._kept.pop(next(iter(self._kept)))[1])
@@ -173,9 +174,10 @@ def _bind(socket: zmq.Socket[bytes], endpoints: list[str], guard: Guard | None) 
 
 
 def well_formed(parts: list[bytes]) -> bool:
-    """Three frames or more, a topic of the form ``<rig>/<kind>``, a payload that can be a message."""
+    """Three frames or more, a topic of the form ``<rig>/<kind>``, a payload that can be a message, little after it."""
     return (
         len(parts) >= 3
+        and sum(map(len, parts[2:])) <= MAX_TIME_BYTES
         and len(parts[0]) <= MAX_TOPIC_BYTES
         and 0 < len(parts[1]) <= MAX_PAYLOAD_BYTES
         and TOPIC_PATTERN.match(parts[0]) is not None

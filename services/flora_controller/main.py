@@ -10,6 +10,7 @@ from typing import Final
 
 import msgspec
 
+from flora_common import setup_run
 from flora_common.app import App
 from flora_common.config import RigSection
 from flora_common.controller_file import SUFFIX
@@ -117,8 +118,7 @@ def build(app: App[ControllerSection]) -> None:
 
     def look() -> None:
         succession.on_time(time.monotonic())
-        setup = app.inbox.last(Setup)
-        rests = setup is not None and setup.active
+        rests = setup_run.running(app.inbox) is not None
         if app.inbox.last(Stem) is not None and not rests and not app.inbox.fresh(Stem):
             # The same words as long as it lasts: each change of a reason is a line of the log and a message.
             app.trouble("silence", "no stem for more than two ticks; the last command stands")

@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from flora_common import setup_run
 from flora_common.bus import Freshness, late_after_s
 from flora_common.health import Line
 from flora_common.messages import (
@@ -18,7 +19,6 @@ from flora_common.messages import (
     JobProgress,
     Lamps,
     LightCommand,
-    Setup,
     Stem,
     Stored,
     Tick,
@@ -67,8 +67,8 @@ def _of_services(services: Iterable[Line], *, is_connected: bool) -> Iterator[Co
 
 
 def _of_tick(inbox: Freshness, interval_s: float) -> Iterator[Concern]:
-    tick, setup, age_s = inbox.last(Tick), inbox.last(Setup), inbox.age_s(Tick)
-    if setup is not None and setup.active:
+    tick, setup, age_s = inbox.last(Tick), setup_run.running(inbox), inbox.age_s(Tick)
+    if setup is not None:
         yield Concern("notice", f"The empty setup is photographed, step {setup.step} of {setup.steps}.")
     elif tick is None or age_s is None:
         yield Concern("notice", "No beat has been heard yet.")

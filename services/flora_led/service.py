@@ -10,11 +10,10 @@ from flora_common.app import App, Timer
 from flora_common.errors import LampsDead
 from flora_common.messages import Lamps, LightCommand, Setup, Tick
 from flora_common.open_loop import OpenLoopSection
+from flora_common.setup_run import SETUP_LEASE_S
 from flora_led.backends import Strips
 from flora_led.core import DARK, Fallback, Lease, Wanted, current_a, lit, shown
 
-SETUP_LEASE_S: Final = 60.0
-"""A setup run that has said nothing for so long, in real seconds, is over."""
 AGAIN_S: Final = 5.0
 SHORTEST_LOOK_S: Final = 1.0
 LONGEST_LOOK_S: Final = 30.0

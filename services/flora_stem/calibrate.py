@@ -242,7 +242,8 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
 
     def work() -> None:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # the beat must go on, however this ends
+        for ending in (signal.SIGTERM, signal.SIGHUP):  # the beat must go on, however this ends; also a lost ssh line
+            signal.signal(ending, signal.default_int_handler)
         rig, _ = load_config(options.config, "stem", StemSection)
         run = RunFolder(Path(rig.run_dir))
         run.read_run_file()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, get_args
 
 import msgspec
 import numpy as np
 
-from flora_common.errors import BadPicture
+from flora_common.errors import BadPicture, FloraError
 from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.messages.catalogue import Outcome
@@ -137,10 +139,21 @@ class StemCore:
             reading = finder.read(self._read(frame), frame.time_s)
         except BadPicture as problem:
             return bad_picture(str(problem))
+        except FloraError:
+            raise  # it is not the picture
+        except Exception as problem:  # noqa: BLE001 - the bus keeps this picture: who ended here would end at each start
+            return bad_picture(f"the stem finder failed, please report it: {_where(problem)}")
         points = reading.points_cm
         if points is not None and not (np.isfinite(points).all() and np.abs(points).max() <= FARTHEST_CM):
             return bad_picture(f"points more than {FARTHEST_CM:g} cm away; correct px_per_cm in run.toml")
         return reading
+
+
+def _where(problem: Exception) -> str:
+    """What went wrong and in which line of which file, on one line."""
+    last = traceback.extract_tb(problem.__traceback__)[-1]
+    said = " ".join(str(problem).split())
+    return f"{type(problem).__name__} at {Path(last.filename).name}:{last.lineno}: {said}"
 
 
 def _extras(reading: StemReading) -> dict[str, float]:

@@ -251,6 +251,9 @@ def test_last_values_are_bounded_in_number_and_bytes_and_the_oldest_goes() -> No
     [
         ([b"box1/tick", b"\x80", b"0"], True),
         ([b"box1/tick", b"\x80", b"0", b"more"], True),
+        ([b"box1/tick", b"\x80", b"0" * 60, b"more"], True),
+        ([b"box1/tick", b"\x80", b"0" * 60, b"more!"], False),
+        ([b"box1/tick", b"\x80", b"0" * 400_000], False),
         ([b"box1/tick", b"\x80"], False),
         ([b"box1/tick", b"", b"0"], False),
         ([b"box1/tick", b"x" * 32769, b"0"], False),

@@ -305,6 +305,14 @@ def test_silence_is_told() -> None:
     assert not shown.view().last["tick"].is_fresh
 
 
+def test_a_setup_run_that_fell_silent_hides_no_silence() -> None:
+    shown = Shown().hear(Tick(tick=1, time_s=300.0), frame(1), stem(1), Setup(active=True, step=2, steps=8)).all_ready()
+    assert any("step 2 of 8" in text for text in shown.texts("notice"))
+    shown.clock.s += 751.0
+    assert not any("step 2 of 8" in text for text in shown.texts("notice"))
+    assert "No beat for 13 min; one is due every 5 min." in shown.texts("problem")
+
+
 def test_the_worst_comes_first_and_a_run_without_its_file_before_all() -> None:
     shown = Shown(None, "no run.toml").hear(
         Tick(tick=1, time_s=300.0),

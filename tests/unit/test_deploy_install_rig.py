@@ -101,7 +101,7 @@ def test_the_same_content_has_the_same_name(
     assert names[0] == names[1] != names[2]
 
 
-def test_a_clean_commit_is_a_name_by_itself(
+def test_a_clean_commit_and_the_rigs_python_are_a_name_by_themselves(
     monkeypatch: pytest.MonkeyPatch, install: ModuleType, tmp_path: Path
 ) -> None:
     target = install.Target("3.11", "aarch64", 36)
@@ -109,9 +109,11 @@ def test_a_clean_commit_is_a_name_by_itself(
     version = install.tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())["project"]["version"]
     said = {"rev-parse": "8c9693b26d", "status": ""}
     monkeypatch.setattr(install, "_git", lambda verb, *_: said[verb])
-    assert install._name(folder, [], target)[0] == f"{version}-8c9693b26d"
+    assert install._name(folder, [], target)[0] == f"{version}-8c9693b26d-py3.11"
+    upgraded = install.Target("3.13", "aarch64", 41)
+    assert install._name(folder, [], upgraded)[0] == f"{version}-8c9693b26d-py3.13", "made anew for another Python"
     said["status"] = " M README.md"
-    assert install._name(folder, [], target)[0].startswith(f"{version}-8c9693b26d-")
+    assert install._name(folder, [], target)[0].startswith(f"{version}-8c9693b26d-py3.11-")
 
 
 def test_the_configuration_that_is_shipped_can_be_read_and_has_light_in_safe_mode() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -45,6 +46,27 @@ def test_a_killed_holder_holds_nothing(tmp_path: Path) -> None:
         holder.send_signal(signal.SIGKILL)
         holder.wait()
     os.close(hold(path))
+
+
+def test_on_a_disk_that_became_read_only_it_is_held_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "lock"
+    path.write_text("an older holder\n")
+    really = os.open
+
+    def read_only(name: Path, flags: int, mode: int = 0o777) -> int:
+        if flags & (os.O_RDWR | os.O_CREAT):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        return really(name, flags, mode)
+
+    monkeypatch.setattr(os, "open", read_only)
+    first = hold(path)
+    with pytest.raises(AlreadyHeld):
+        hold(path)
+    os.close(first)
+    with pytest.raises(FileNotFoundError):
+        hold(tmp_path / "another")
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:

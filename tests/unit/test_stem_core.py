@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
 from flora_common.tracks import read_track
 from flora_common.vision.picture import Picture
+from flora_common.vision.reading import StemReading
 from flora_stem.background import NO_BACKGROUND, Background
 from flora_stem.core import Answer, StemCore
 from flora_stem.main import FrameReader, Track, resumed, run_identity
@@ -122,6 +124,20 @@ def box(tmp_path: Path) -> Box:
 
 def missed(tick: int) -> FrameMissed:
     return FrameMissed(tick=tick, time_s=tick * 300.0, because="camera_hung", reason="killed")
+
+
+def test_a_picture_that_the_finder_fails_on_is_answered_and_the_next_is_read(
+    box: Box, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(picture: Picture, time_s: float) -> StemReading:
+        raise ZeroDivisionError("of two\nlines")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(box.background.finder, "read", fails)
+        stem = box.answer(box.frame(1, jpeg(with_stem(3.0, 12.0))))
+    assert stem.outcome == "bad_picture"
+    assert re.search(r"ZeroDivisionError at test_stem_core\.py:\d+: of two lines$", stem.reason)
+    assert box.answer(box.frame(2, jpeg(with_stem(3.0, 12.0)))).outcome == "ok"
 
 
 def test_a_stem_is_found_said_and_written(box: Box) -> None:

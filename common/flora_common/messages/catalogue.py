@@ -188,9 +188,12 @@ class Lamps(Message, kw_only=True, frozen=True):
     reason: Sentence = ""
 
 
-@message("setup", owner="flora-stem", period="none")
+@message("setup", owner="flora-stem", period="none", keep=False)
 class Setup(Message, kw_only=True, frozen=True):
-    """A setup run asks for lamps, then for a picture; the beat rests while it is active."""
+    """A setup run asks for lamps, then for a picture; the beat rests while it is active.
+
+    Said again every 15 s, and not kept: a run that ended without a word is over for whoever starts later.
+    """
 
     active: bool
     step: Annotated[Count, Meta(description="from 1; each step is one lamp state and one picture")] = 0
