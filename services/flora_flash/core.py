@@ -31,6 +31,19 @@ class Reading:
     boot_id: str
 
 
+@dataclass(frozen=True, slots=True)
+class Photographed:
+    """How far the photographs of a run have come.
+
+    Attributes:
+        tick: the highest number among them; 0 where none has one.
+        time_s: run time of the last one; None where no table tells.
+    """
+
+    tick: int
+    time_s: float | None
+
+
 class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What outlasts a restart.
 
@@ -82,7 +95,10 @@ class Beat:
         if now.boot_id and now.boot_id == state.boot_id and now.mono_ns >= state.mono_ns:
             return (now.mono_ns - state.mono_ns) / NS
         by_wall_s = (now.utc_ns - state.utc_ns) / NS
-        return by_wall_s if 0.0 < by_wall_s <= LONGEST_ABSENCE_S else self._interval_s
+        away_s = by_wall_s if 0.0 < by_wall_s <= LONGEST_ABSENCE_S else self._interval_s
+        # Later photographs than the file knows of are ahead of its clocks: the run is not set back behind them.
+        is_behind = state.time_s + away_s < state.due_s - self._interval_s / 2
+        return state.due_s + self._interval_s - state.time_s if is_behind else away_s
 
     def time_s(self, mono_ns: int) -> float:
         """Run time; 0 before the run's first tick."""
@@ -155,3 +171,17 @@ def recovered(run: str, *, last_tick: int, last_time_s: float | None) -> BeatSta
     """State for a run whose state file is gone: numbers and times go on after the photographs that are there."""
     begun = last_time_s is not None
     return BeatState(tick=last_tick, run=run, begun=begun, time_s=last_time_s or 0.0, due_s=last_time_s or 0.0)
+
+
+def caught_up(state: BeatState, seen: Photographed, *, interval_s: float) -> BeatState:
+    """State of a run whose file could not be written lately, as far as its photographs have come.
+
+    The clocks stay those of the file, and so does the grid: the last photograph was due at its nearest beat.
+    """
+    if seen.tick <= state.tick:
+        return state
+    state = msgspec.structs.replace(state, tick=seen.tick, purpose="run", shot="")
+    if seen.time_s is None:
+        return state
+    beats = max(0, round((seen.time_s - state.due_s) / interval_s))
+    return msgspec.structs.replace(state, begun=True, due_s=state.due_s + beats * interval_s)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -17,8 +16,9 @@ from flora_common.runs import RunFolder
 from flora_common.service import Action, default_clock, run_service
 from flora_common.twin_link import TwinLink, leader_clock
 from flora_flash.backends import Lamp, NoLamp
-from flora_flash.core import STATE_FILE, Beat, BeatState, Reading, recovered
+from flora_flash.core import STATE_FILE, Beat, BeatState, Reading, caught_up, recovered
 from flora_flash.handshake import FlashSection, FlashService
+from flora_flash.photographs import last_photographed
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
@@ -45,27 +45,32 @@ def boot_id() -> str:
 
 
 def read_state(file: Path, run: RunFolder) -> BeatState | None:
-    """Where the beat was left.
+    """Where the beat was left: by its file, or by the run's photographs where these have come further.
+
+    The file may be older than they are, for it could not be written while its disk was full. A file of another run
+    gives its tick number alone.
 
     Raises:
-        BadInput: the file is damaged.
+        BadInput: the file is damaged, or the photographs cannot be looked at.
     """
+    state, seen, name = _read_file(file), last_photographed(run), run_name(run)
+    if seen is None:
+        return state
+    if state is None or state.run != name:
+        tick = max(seen.tick, state.tick if state else 0)
+        return recovered(name, last_tick=tick, last_time_s=seen.time_s)
+    return caught_up(state, seen, interval_s=run.read_run_file().interval_s)
+
+
+def _read_file(file: Path) -> BeatState | None:
     try:
         return msgspec.json.decode(file.read_bytes(), type=BeatState)
     except FileNotFoundError:
-        return _from_photographs(run)
+        return None
     except (ValueError, OSError) as problem:
         raise BadInput(
             f"{file}: damaged ({problem}); remove it: numbers then go on after the last photograph"
         ) from problem
-
-
-def _from_photographs(run: RunFolder) -> BeatState | None:
-    numbers = [int(m[0]) for p in run.frames.glob("*.jpg") if (m := re.match(r"\d{1,12}", p.name))]
-    rows = run.read_frames() if run.frames_csv.exists() else []
-    if not numbers and not rows:
-        return None
-    return recovered(run_name(run), last_tick=max(numbers, default=0), last_time_s=rows[-1].time_s if rows else None)
 
 
 def run_name(run: RunFolder) -> str:

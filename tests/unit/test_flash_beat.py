@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from flora_common.clock import NS
 from flora_common.messages import Tick
-from flora_flash.core import Beat, BeatState, Reading, recovered
+from flora_flash.core import Beat, BeatState, Photographed, Reading, caught_up, recovered
 
 INTERVAL_S = 300.0
 
@@ -100,6 +100,34 @@ def test_without_its_file_the_beat_goes_on_after_the_photographs() -> None:
     state = recovered("bean", last_tick=7, last_time_s=1800.0)
     tick = Beat(INTERVAL_S, run="bean", state=state, now=reading(3.0)).next(reading(3.0))
     assert (tick.tick, tick.time_s) == (8, 2100.0)
+
+
+def test_photographs_beyond_the_file_move_number_and_due_time_on_and_leave_clocks_and_grid() -> None:
+    beat = fresh(reading(9000.0))
+    beat.next(reading(9000.0))
+    state = caught_up(beat.state, Photographed(tick=11, time_s=3004.5), interval_s=INTERVAL_S)
+    again = Beat(INTERVAL_S, run="bean", state=state, now=reading(12_100.0))
+    assert again.due_ns == 12_300 * NS
+    tick = again.next(reading(12_300.0))
+    assert (tick.tick, tick.time_s, tick.late_s) == (12, 3300.0, 0.0)
+
+
+@pytest.mark.parametrize("utc_s", [9600.0, -5e8])
+def test_a_wall_clock_behind_the_photographs_does_not_set_the_run_back(utc_s: float) -> None:
+    beat = fresh(reading(9000.0))
+    beat.next(reading(9000.0))
+    state = caught_up(beat.state, Photographed(tick=11, time_s=3000.0), interval_s=INTERVAL_S)
+    now = reading(20.0, utc_s=utc_s, boot="b")
+    again = Beat(INTERVAL_S, run="bean", state=state, now=now)
+    assert again.due_ns == now.mono_ns
+    tick = again.next(now)
+    assert (tick.tick, tick.time_s, tick.skipped) == (12, 3300.0, 0)
+
+
+def test_photographs_that_the_file_knows_of_change_nothing() -> None:
+    beat = fresh(reading(0.0))
+    beat.background(reading(0.0), shot="left.jpg", setup="s:1:left.jpg")
+    assert caught_up(beat.state, Photographed(tick=1, time_s=None), interval_s=INTERVAL_S) == beat.state
 
 
 steps = st.lists(

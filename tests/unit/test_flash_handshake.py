@@ -14,11 +14,13 @@ from device_fakes import FakeApp
 from flora_common.clock import NS, FakeClock, LeaderClock
 from flora_common.errors import BadInput, DiskFull, FlashDead
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
+from flora_common.runs import RunFolder
 from flora_flash import handshake
 from flora_flash.backends import NoLamp
-from flora_flash.core import Beat, BeatState, Reading
+from flora_flash.core import Beat, BeatState, Photographed, Reading
 from flora_flash.handshake import FlashSection, FlashService
 from flora_flash.main import read_state
+from flora_flash.photographs import last_photographed
 
 SHA = "0" * 64
 
@@ -425,3 +427,97 @@ def test_without_a_state_file_numbers_go_on_after_the_photographs(rig: Callable[
     again = r.start(frame(3))
     again.pass_s(0.0)
     assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(4, 900.0)]
+
+
+def photographs(folder: Path, ticks: range) -> RunFolder:
+    """A run with photographs and both tables, one tick 300 s after the other from run time 0."""
+    run = RunFolder(folder / "run")
+    run.frames.mkdir(parents=True, exist_ok=True)
+    lines = []
+    for tick in ticks:
+        (run.frames / f"{tick:06d}.jpg").touch()
+        run.append_frame(f"frames/{tick:06d}.jpg", 300.0 * (tick - 1), "dark")
+        lines.append(f'{{"tick":{tick},"time_s":{300.0 * (tick - 1)},"purpose":"run"}}\n')
+    run.frames_log.write_text("".join(lines))
+    return run
+
+
+def test_photographs_that_a_stale_state_file_does_not_know_of_are_not_numbered_again(
+    rig: Callable[..., Rig], tmp_path: Path
+) -> None:
+    r = rig()
+    r.start().hear(frame(1))
+    photographs(tmp_path, range(1, 41))  # state_dir could not be written meanwhile, and then power was cut
+    r.clock.advance(40 * 300.0 - 100.0)
+    again = r.start()
+    again.pass_s(99.0)
+    assert again.said == []
+    again.pass_s(2.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(41, pytest.approx(12_000.0, abs=2.0))]
+
+
+def test_the_state_file_holds_where_it_is_further_than_the_photographs(rig: Callable[..., Rig], tmp_path: Path) -> None:
+    r = rig()
+    first = r.start()
+    first.hear(FrameMissed(tick=1, time_s=0.0, because="disk_full", reason="x"))
+    first.pass_s(300.0)
+    first.hear(FrameMissed(tick=2, time_s=300.0, because="disk_full", reason="x"))
+    photographs(tmp_path, range(1, 2))
+    written = (tmp_path / "state" / "flash.json").read_bytes()
+    assert read_state(tmp_path / "state" / "flash.json", RunFolder(tmp_path / "run")) == msgspec.json.decode(
+        written, type=BeatState
+    )
+
+
+def test_a_state_file_of_another_run_gives_its_number_but_none_below_the_photographs(tmp_path: Path) -> None:
+    file, run = tmp_path / "flash.json", photographs(tmp_path, range(1, 8))
+    for tick, expected in ((5, 7), (90, 90)):
+        file.write_bytes(msgspec.json.encode(BeatState(tick=tick, run="older", begun=True, time_s=9e5, due_s=9e5)))
+        state = read_state(file, run)
+        assert state is not None
+        assert (state.tick, state.run, state.time_s) == (expected, "run", 1800.0)
+
+
+def test_a_state_file_of_another_run_gives_its_number_alone_where_nothing_is_photographed(tmp_path: Path) -> None:
+    file = tmp_path / "flash.json"
+    file.write_bytes(msgspec.json.encode(BeatState(tick=5, run="older", begun=True, time_s=9e5, due_s=9e5)))
+    state = read_state(file, RunFolder(tmp_path / "run"))
+    tick = Beat(300.0, run="run", state=state, now=Reading(NS, NS, "boot")).next(Reading(NS, NS, "boot"))
+    assert (tick.tick, tick.time_s) == (6, 0.0)
+
+
+def test_pictures_of_the_empty_setup_count_by_the_ledger_and_set_no_time(tmp_path: Path) -> None:
+    run = photographs(tmp_path, range(1, 4))
+    with run.frames_log.open("a") as ledger:
+        ledger.write('{"tick":9,"time_s":5000.0,"purpose":"background"}\n')
+    assert last_photographed(run) == Photographed(tick=9, time_s=600.0)
+
+
+def test_what_a_power_cut_tore_does_not_hide_the_lines_before_it(tmp_path: Path) -> None:
+    run = photographs(tmp_path, range(1, 4))
+    for table, torn in ((run.frames_log, b'\0\0\0\n{"tick":77,"ti'), (run.frames_csv, b"x,nan,dark\nframes/0000,99")):
+        with table.open("ab") as file:
+            file.write(torn)
+    assert last_photographed(run) == Photographed(tick=3, time_s=600.0)
+
+
+@pytest.mark.parametrize("lost", ["frames", "frames.jsonl", "frames.csv"])
+def test_any_two_of_names_and_tables_are_enough(tmp_path: Path, lost: str) -> None:
+    run = photographs(tmp_path, range(1, 4))
+    (tmp_path / "run" / lost).rename(tmp_path / "lost")
+    assert last_photographed(run) == Photographed(tick=3, time_s=600.0)
+
+
+def test_long_tables_are_read_at_their_ends(tmp_path: Path) -> None:
+    run = photographs(tmp_path, range(1, 1))
+    run.frames_log.write_text("".join(f'{{"tick":{n},"time_s":{n}.0}}\n' for n in [9_999_999, *range(1, 5000)]))
+    run.frames_csv.write_text("file,time_s,light\n" + "".join(f"{n}.jpg,{n}.0,dark\n" for n in range(1, 20_000)))
+    assert last_photographed(run) == Photographed(tick=4999, time_s=19_999.0)
+
+
+def test_photographs_that_cannot_be_looked_at_are_one_clear_line(tmp_path: Path) -> None:
+    run = photographs(tmp_path, range(1, 2))
+    run.frames_log.unlink()
+    run.frames_log.mkdir()
+    with pytest.raises(BadInput, match=r"frames\.jsonl: cannot be read"):
+        read_state(tmp_path / "flash.json", run)
