@@ -24,11 +24,16 @@ LONGEST_ABSENCE_S: Final = 30 * 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The clocks at one moment; ``mono_ns`` counts from the start of the boot that ``boot_id`` names."""
+    """The clocks at one moment; ``mono_ns`` counts from the start of the boot that ``boot_id`` names.
+
+    Attributes:
+        is_right: the wall clock has been set since that start; a Pi has none that goes on without power.
+    """
 
     mono_ns: int
     utc_ns: int
     boot_id: str
+    is_right: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +49,24 @@ class Photographed:
     time_s: float | None
 
 
-class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Absence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Time without power that is still to be measured, for the wall clock has not been set since.
+
+    Attributes:
+        time_s: run time of the last tick before it.
+        utc_ns: the wall clock at that tick.
+        taken_s: what it was taken for meanwhile.
+    """
+
+    time_s: Seconds
+    utc_ns: Nanoseconds
+    taken_s: Seconds = 0.0
+
+
+class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """What outlasts a restart.
+
+    Defaults are not written, so that an older release can read the file while nothing in it is new.
 
     Attributes:
         tick: the last number given out.
@@ -56,6 +77,8 @@ class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         mono_ns, utc_ns, boot_id: the clocks at ``time_s``.
         purpose, shot: what the last number was for.
         setup: the step of a setup run that the last picture of the empty setup answered.
+        utc_is_right: the wall clock had been set by ``time_s``, in the boot of that time.
+        absence: what is still to be measured; None for nothing.
     """
 
     tick: Count = 0
@@ -69,6 +92,8 @@ class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     purpose: Purpose = "run"
     shot: Annotated[str, msgspec.Meta(max_length=64)] = ""
     setup: Annotated[str, msgspec.Meta(max_length=128)] = ""
+    utc_is_right: bool = True
+    absence: Absence | None = None
 
 
 class Beat:
@@ -87,18 +112,57 @@ class Beat:
         if state.run != run:
             state = BeatState(tick=state.tick, run=run)
         self.state = state
+        away_s = self._away_s(now)
         # Rig time at which the run's time was 0.
-        self._zero_ns = now.mono_ns - round((state.time_s + self._away_s(now)) * NS)
+        self._zero_ns = now.mono_ns - round((state.time_s + away_s) * NS)
+        self._absence = self._absence_after(away_s, now)
+
+    def _is_same_boot(self, now: Reading) -> bool:
+        state = self.state
+        return bool(now.boot_id) and now.boot_id == state.boot_id and now.mono_ns >= state.mono_ns
 
     def _away_s(self, now: Reading) -> float:
-        state = self.state
-        if now.boot_id and now.boot_id == state.boot_id and now.mono_ns >= state.mono_ns:
-            return (now.mono_ns - state.mono_ns) / NS
-        by_wall_s = (now.utc_ns - state.utc_ns) / NS
-        away_s = by_wall_s if 0.0 < by_wall_s <= LONGEST_ABSENCE_S else self._interval_s
+        state, away_s = self.state, self._by_clocks_s(now)
         # Later photographs than the file knows of are ahead of its clocks: the run is not set back behind them.
         is_behind = state.time_s + away_s < state.due_s - self._interval_s / 2
         return state.due_s + self._interval_s - state.time_s if is_behind else away_s
+
+    def _by_clocks_s(self, now: Reading) -> float:
+        if self._is_same_boot(now):
+            return (now.mono_ns - self.state.mono_ns) / NS
+        by_wall_s = (now.utc_ns - self.state.utc_ns) / NS
+        return by_wall_s if 0.0 < by_wall_s <= LONGEST_ABSENCE_S else self._interval_s
+
+    def _absence_after(self, away_s: float, now: Reading) -> Absence | None:
+        """What is to be measured once the wall clock is right, where the last tick's was.
+
+        Several power cuts before that are one absence, from the last tick whose wall clock was right.
+        """
+        state = self.state
+        if not state.begun or self._is_same_boot(now):
+            return state.absence
+        if state.absence is None and (now.is_right or not state.utc_is_right):
+            return None
+        last = state.absence or Absence(state.time_s, state.utc_ns)
+        return msgspec.structs.replace(last, taken_s=last.taken_s + away_s)
+
+    def measure_absence(self, now: Reading) -> float:
+        """Once the wall clock is right: move the run's zero back by what an absence was taken too short.
+
+        To be called where a tick is due, so that what this makes late is a beat's length after the last photograph.
+
+        Returns:
+            The seconds by which run time has moved on; 0 where it has not.
+        """
+        last = self._absence
+        if last is None or not now.is_right:
+            return 0.0
+        self._absence = None
+        longer_s = last.time_s + (now.utc_ns - last.utc_ns) / NS - self.time_s(now.mono_ns)
+        if longer_s <= 0.0 or last.taken_s + longer_s > LONGEST_ABSENCE_S:
+            return 0.0
+        self._zero_ns -= round(longer_s * NS)
+        return longer_s
 
     def time_s(self, mono_ns: int) -> float:
         """Run time; 0 before the run's first tick."""
@@ -118,6 +182,8 @@ class Beat:
         self.state = msgspec.structs.replace(self.state, tick=tick.tick)
         if self.state.begun and tick.purpose == "run":
             self.state = msgspec.structs.replace(self.state, due_s=max(self.state.due_s, tick.time_s - tick.late_s))
+            if tick.t_mono_ns:  # an absence may have been measured since the file was written
+                self._zero_ns = min(self._zero_ns, tick.t_mono_ns - round(tick.time_s * NS))
 
     def is_recent(self, now: Reading) -> bool:
         """Whether the last number was given out so lately that it can still be photographed."""
@@ -146,6 +212,8 @@ class Beat:
             utc_ns=now.utc_ns,
             boot_id=now.boot_id,
             setup=self.state.setup,
+            utc_is_right=now.is_right or (self._is_same_boot(now) and self.state.utc_is_right),
+            absence=self._absence,
         )
         return Tick(tick=self.state.tick, time_s=time_s, late_s=late_s, skipped=skipped)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from flora_common.app import App, Timer
-from flora_common.clock import NS
+from flora_common.clock import NS, Clock
 from flora_common.errors import DeviceError, DiskFull
 from flora_common.files import write_text
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
@@ -52,6 +52,12 @@ class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether a run begins only when there are pictures of the empty setup."""
 
 
+def read_clocks(clock: Clock, boot_id: str, utc_is_right: Callable[[], bool]) -> Reading:
+    """The clocks now."""
+    is_right = utc_is_right()  # before the clock is read: what is set in between is not taken for what it was before
+    return Reading(clock.mono_ns(), clock.utc_ns(), boot_id, is_right)
+
+
 class FlashService:
     """The hand-shake of one tick after the other.
 
@@ -60,13 +66,23 @@ class FlashService:
         lamp: the flash lamp.
         beat: numbers and due times.
         boot_id: names the boot that monotonic time counts from.
+        utc_is_right: asks whether the wall clock has been set since that boot.
     """
 
-    def __init__(self, app: App[FlashSection], lamp: Lamp, beat: Beat, *, boot_id: str) -> None:
+    def __init__(
+        self,
+        app: App[FlashSection],
+        lamp: Lamp,
+        beat: Beat,
+        *,
+        boot_id: str,
+        utc_is_right: Callable[[], bool] = lambda: True,
+    ) -> None:
         self._app = app
         self._lamp = lamp
         self._beat = beat
         self._boot_id = boot_id
+        self._utc_is_right = utc_is_right
         self._file = app.state_dir / STATE_FILE
         self._open: Tick | None = None
         """The tick whose photograph is awaited."""
@@ -143,7 +159,11 @@ class FlashService:
                 self._after("due", BOX_AGAIN_S, self._proceed)
                 return
         self._app.trouble("clock", "")
-        tick = self._beat.next(self._now())
+        now = self._now()
+        longer_s = self._beat.measure_absence(now)
+        tick = self._beat.next(now)
+        if longer_s:
+            self._app.log.warning("absence_was_longer", tick=tick.tick, longer_s=round(longer_s))
         if self._in_lock_step():
             self._unanswered = tick.tick
         if tick.skipped:
@@ -291,7 +311,7 @@ class FlashService:
     # small things
 
     def _now(self) -> Reading:
-        return Reading(self._app.clock.mono_ns(), self._app.clock.utc_ns(), self._boot_id)
+        return read_clocks(self._app.clock, self._boot_id, self._utc_is_right)
 
     def _after(self, key: str, real_s: float, call: Callable[[], None]) -> None:
         self._cancel(key)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,14 +10,15 @@ import msgspec
 
 from flora_common.app import App
 from flora_common.clock import Clock
+from flora_common.clock_sync import is_synchronised
 from flora_common.config import RigSection
 from flora_common.errors import BadInput
 from flora_common.runs import RunFolder
 from flora_common.service import Action, default_clock, run_service
 from flora_common.twin_link import TwinLink, leader_clock
 from flora_flash.backends import Lamp, NoLamp
-from flora_flash.core import STATE_FILE, Beat, BeatState, Reading, caught_up, recovered
-from flora_flash.handshake import FlashSection, FlashService
+from flora_flash.core import STATE_FILE, Beat, BeatState, caught_up, recovered
+from flora_flash.handshake import FlashSection, FlashService, read_clocks
 from flora_flash.photographs import last_photographed
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -78,14 +79,20 @@ def run_name(run: RunFolder) -> str:
     return run.path.resolve().name
 
 
+def clock_check(rig: RigSection) -> Callable[[], bool]:
+    """Asks whether the wall clock is right: the grow box's always is, a Pi's not before it has been told."""
+    return (lambda: True) if rig.clock.kind == "twin" else is_synchronised
+
+
 def build(app: App[FlashSection]) -> None:
     interval_s = app.run.read_run_file().interval_s
-    now = Reading(app.clock.mono_ns(), app.clock.utc_ns(), boot_id())
+    utc_is_right = clock_check(app.rig)
+    now = read_clocks(app.clock, boot_id(), utc_is_right)
     state = read_state(app.state_dir / STATE_FILE, app.run)
     beat = Beat(interval_s, run=run_name(app.run), state=state, now=now)
     lamp = open_lamp(app.rig, app.config)
     lamp.switch(False)
-    FlashService(app, lamp, beat, boot_id=now.boot_id)
+    FlashService(app, lamp, beat, boot_id=now.boot_id, utc_is_right=utc_is_right)
 
 
 def make_clock(rig: RigSection) -> Clock:

@@ -12,14 +12,15 @@ import pytest
 
 from device_fakes import FakeApp
 from flora_common.clock import NS, FakeClock, LeaderClock
+from flora_common.config import ClockSection, RigSection
 from flora_common.errors import BadInput, DiskFull, FlashDead
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
 from flora_common.runs import RunFolder
-from flora_flash import handshake
+from flora_flash import handshake, main
 from flora_flash.backends import NoLamp
 from flora_flash.core import Beat, BeatState, Photographed, Reading
-from flora_flash.handshake import FlashSection, FlashService
-from flora_flash.main import read_state
+from flora_flash.handshake import FlashSection, FlashService, read_clocks
+from flora_flash.main import clock_check, read_state
 from flora_flash.photographs import last_photographed
 
 SHA = "0" * 64
@@ -50,12 +51,13 @@ class Rig:
         self.config = FlashSection(**config)
         self.lamp: Any = FakeLamp()
         self.clock: Any = FakeClock(mono_ns=1000 * NS)
+        self.boot, self.is_right = "boot", True
 
     def start(self, *kept: Any) -> FakeApp:
         app = FakeApp(self.folder, self.config, clock=self.clock)
-        now = Reading(self.clock.mono_ns(), self.clock.utc_ns(), "boot")
-        state = read_state(app.state_dir / "flash.json", app.run)
-        FlashService(app, self.lamp, Beat(300.0, run="run", state=state, now=now), boot_id="boot")  # type: ignore[arg-type]
+        now = read_clocks(self.clock, self.boot, lambda: self.is_right)
+        beat = Beat(300.0, run="run", state=read_state(app.state_dir / "flash.json", app.run), now=now)
+        FlashService(app, self.lamp, beat, boot_id=self.boot, utc_is_right=lambda: self.is_right)  # type: ignore[arg-type]
         app.hear(*kept)
         app.ready()
         return app
@@ -427,6 +429,43 @@ def test_without_a_state_file_numbers_go_on_after_the_photographs(rig: Callable[
     again = r.start(frame(3))
     again.pass_s(0.0)
     assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(4, 900.0)]
+
+
+def test_a_power_cut_of_eight_hours_is_told_once_when_the_clock_has_been_set(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    r.start().hear(frame(1))
+    r.clock, r.boot, r.is_right = FakeClock(mono_ns=20 * NS, utc_ns=r.clock.utc_ns() + 120 * NS), "another", False
+    app = r.start(frame(1))
+    app.pass_s(60.0)
+    r.clock.jump_utc(8 * 3600.0)
+    r.is_right = True
+    app.pass_s(121.0)
+    tick = app.heard(Tick)[-1]
+    assert (tick.tick, tick.time_s, tick.skipped) == (2, pytest.approx(300.0 + 8 * 3600.0, abs=2.0), 96)
+    app.hear(frame(2))
+    app.pass_s(300.0)
+    assert [t.skipped for t in app.heard(Tick)] == [96, 0]
+    assert [line for line in app.lines if "absence" in line] == ["absence_was_longer"]
+
+
+@pytest.mark.parametrize(("kind", "is_right"), [("system", False), ("twin", True)])
+def test_the_kernel_is_asked_about_the_machines_clock_and_not_about_the_grow_boxs(
+    monkeypatch: pytest.MonkeyPatch, kind: str, is_right: bool
+) -> None:
+    monkeypatch.setattr(main, "is_synchronised", lambda: False)
+    rig = RigSection(clock=ClockSection(kind=kind, twin="ipc:///tmp/box"))  # type: ignore[arg-type]
+    assert clock_check(rig)() is is_right
+
+
+def test_whether_the_clock_is_right_is_asked_before_it_is_read() -> None:
+    clock = FakeClock()
+    before_ns = clock.utc_ns()
+
+    def is_right() -> bool:
+        clock.jump_utc(3600.0)
+        return False
+
+    assert read_clocks(clock, "boot", is_right).utc_ns == before_ns + 3600 * NS
 
 
 def photographs(folder: Path, ticks: range) -> RunFolder:

@@ -57,7 +57,7 @@ HOLES = {
     "PrivateNetwork": {LAB, "flora-dashboard.service"},
     "PrivateDevices": {"flora-capture.service", "flora-flash.service", "flora-led.service"},
     "MemoryDenyWriteExecute": {LAB},
-    "ProtectClock": {"flora-controller.service"},
+    "ProtectClock": {"flora-controller.service", "flora-flash.service"},
 }
 """Settings that every unit has but these, each of which says why not in a comment of its own."""
 
@@ -252,9 +252,10 @@ def test_libzmq_may_set_the_scheduling_of_its_threads(name: str) -> None:
     assert "sched_setscheduler" in filters[2:]  # after the line that takes @resources away
 
 
-def test_the_controller_may_ask_whether_the_clock_is_right() -> None:
-    """``flora_common.clock_sync``: refused, it would never believe an expiry date."""
-    this = unit("flora-controller.service")
+@pytest.mark.parametrize("name", sorted(HOLES["ProtectClock"]))
+def test_who_believes_the_clock_may_ask_whether_it_is_right(name: str) -> None:
+    """``flora_common.clock_sync``: refused, they would believe no expiry date, and measure no power cut."""
+    this = unit(name)
     assert this["SystemCallFilter"][-1].split()[:2] == ["adjtimex", "clock_adjtime"]
 
 
