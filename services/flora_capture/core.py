@@ -46,8 +46,8 @@ class Sequence:
     def hear(self, flash: Flash) -> Todo:
         """What a word of the flash asks for.
 
-        ``shoot``: :attr:`shot` is new; ``again``: announce the same once more; ``too_late``: it was lit and is dark
-        again, and we were not there.
+        ``shoot``: :attr:`shot` is new; ``again``: announce the same once more; ``too_late``: it is dark again, or was
+        left dark, and we were not there.
         """
         busy = self.shot.flash.tick if self.shot else 0
         if flash.tick < max(self.done, busy, 1):

@@ -140,7 +140,7 @@ class CaptureService:
         elif todo == "again" and self._said is not None and self._said.tick == flash.tick:
             self._app.publish(self._said)
         elif todo == "too_late":
-            self._miss(flash, "camera_gone", "flora-capture was not running while the flash was lit")
+            self._miss(flash, "camera_gone", f"no flash any more when flora-capture heard of it: {flash.reason}")
 
     # the camera
 

@@ -19,6 +19,8 @@ SETUP_LEASE_S: Final = 60.0
 """A setup run that has said nothing for so long, in real seconds, is over."""
 DARK_AGAIN_S: Final = 5.0
 BOX_AGAIN_S: Final = 1.0
+TIME_OUTS_BEFORE_DARK: Final = 2
+"""Ticks in a row without any word of flora-capture, after which plants are not lit for nobody at further ones."""
 
 RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 
@@ -86,6 +88,8 @@ class FlashService:
         self._file = app.state_dir / STATE_FILE
         self._open: Tick | None = None
         """The tick whose photograph is awaited."""
+        self._time_outs = 0
+        """Ticks in a row, waited for in vain, since flora-capture was heard."""
         self._unanswered = 0
         """In lock-step: the tick whose lamps are awaited."""
         self._setup: Setup | None = None
@@ -183,19 +187,32 @@ class FlashService:
     # the lamp
 
     def _light(self, tick: Tick) -> None:
+        if self._stays_dark():
+            self._shot_failed(tick)
+            self._dark(tick, "no word of flora-capture: the flash stays dark until it is heard")
+            return
         self._open = tick
         self._say(tick, lit=True, reason="")
         self._await_frame()
 
+    def _stays_dark(self) -> bool:
+        return self._time_outs >= TIME_OUTS_BEFORE_DARK and not isinstance(self._lamp, NoLamp)
+
     def _await_frame(self) -> None:
         self._after("frame", self._app.config.frame_timeout_s, self._frame_timed_out)
 
+    def _capture_heard(self) -> None:
+        """It runs, whatever tick it speaks of: one that was left dark is answered with its frame_missed."""
+        self._time_outs = 0
+        self._app.trouble("frame", "")
+
     def _photographed(self, tick: int) -> None:
+        self._capture_heard()
         if self._open is not None and self._open.tick == tick:
-            self._app.trouble("frame", "")
             self._dark(self._open, "")
 
     def _missed(self, missed: FrameMissed) -> None:
+        self._capture_heard()
         if self._open is not None and self._open.tick == missed.tick:
             self._shot_failed(self._open)
             self._dark(self._open, f"no photograph: {missed.because}")
@@ -203,7 +220,9 @@ class FlashService:
     def _frame_timed_out(self) -> None:
         if self._open is not None:
             waited = f"no word of a photograph for {self._app.config.frame_timeout_s:g} s"
-            self._app.trouble("frame", f"{waited}: is flora-capture running?")
+            self._time_outs += 1
+            until = "; the flash stays dark until it is heard" if self._stays_dark() else ""
+            self._app.trouble("frame", f"{waited}: is flora-capture running?{until}")
             self._shot_failed(self._open)
             self._dark(self._open, waited)
 

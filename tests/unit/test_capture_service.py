@@ -453,6 +453,15 @@ def test_a_flash_that_came_and_went_meanwhile_is_a_missed_frame(rig: Rig) -> Non
     assert (missed.because, missed.time_s) == ("camera_gone", 1200.0)
 
 
+def test_a_tick_that_was_left_dark_meanwhile_is_a_missed_frame_that_says_why(rig: Rig) -> None:
+    missed = rig.start(Flash(tick=9, lit=False, confirmed=True, reason="no word of flora-capture")).heard(FrameMissed)[
+        0
+    ]
+    assert (missed.tick, missed.because) == (9, "camera_gone")
+    assert "no word of flora-capture" in missed.reason
+    assert "was lit" not in missed.reason
+
+
 def test_a_beat_that_goes_on_ends_the_shot_before(rig: Rig) -> None:
     app = rig.start()
     rig.camera("hang")

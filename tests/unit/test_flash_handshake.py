@@ -123,6 +123,82 @@ def test_no_word_at_all_ends_the_light_after_the_time_out(rig: Callable[..., Rig
     assert app.troubles == {}
 
 
+def pass_in_steps(app: FakeApp, seconds: float) -> None:
+    """Rig time and real time stay within a second of each other, also where timers set timers."""
+    for _ in range(round(seconds)):
+        app.pass_s(1.0)
+
+
+def test_without_flora_capture_the_lamp_stays_dark_after_two_ticks_until_it_is_heard(rig: Callable[..., Rig]) -> None:
+    r = rig(frame_timeout_s=45.0)
+    app = r.start()
+    pass_in_steps(app, 301.0)
+    assert r.lamp.on
+    pass_in_steps(app, 45.0)
+    assert "stays dark" in app.troubles["frame"]
+    told = len(app.heard(Flash))
+    pass_in_steps(app, 600.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2, 3, 4]
+    left_dark = app.heard(Flash)[told:]
+    assert [(f.tick, f.lit, f.confirmed) for f in left_dark] == [(3, False, True), (4, False, True)]
+    assert all("flora-capture" in f.reason for f in left_dark)
+    # Started, it answers the word of the flash that the bus has kept.
+    app.hear(FrameMissed(tick=4, time_s=900.0, because="camera_gone", reason="x"))
+    assert app.troubles == {}
+    pass_in_steps(app, 260.0)
+    assert (app.heard(Flash)[-1].tick, app.heard(Flash)[-1].lit, r.lamp.on) == (5, True, True)
+
+
+def test_two_time_outs_with_a_word_of_flora_capture_in_between_leave_the_flash(rig: Callable[..., Rig]) -> None:
+    r = rig(frame_timeout_s=45.0)
+    app = r.start()
+    pass_in_steps(app, 50.0)
+    app.hear(frame(1))  # late, but there
+    pass_in_steps(app, 296.0)
+    assert "stays dark" not in app.troubles["frame"]
+    pass_in_steps(app, 255.0)
+    assert (app.heard(Flash)[-1].tick, r.lamp.on) == (3, True)
+
+
+def test_lock_step_does_not_wait_for_the_photograph_of_a_tick_that_is_left_dark(rig: Callable[..., Rig]) -> None:
+    r = rig(frame_timeout_s=45.0)
+    r.clock = lock_step()
+    app = r.start()
+    for tick in (1, 2):
+        app.hear(Lamps(tick=tick, lit="left", commanded="left"))
+        app.pass_real_s(46.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2, 3]
+    assert not r.lamp.on
+    app.hear(Lamps(tick=3, lit="left", commanded="left"))
+    app.pass_real_s(0.0)
+    assert [t.tick for t in app.heard(Tick)] == [1, 2, 3, 4]
+
+
+def test_a_step_of_a_setup_run_that_was_left_dark_is_tried_when_the_lamps_confirm_again(
+    rig: Callable[..., Rig],
+) -> None:
+    r = rig(frame_timeout_s=45.0)
+    app = r.start()
+    pass_in_steps(app, 346.0)
+    for _ in range(2):
+        app.hear(setup(1), setup_lamps(1))
+    shots = [t.tick for t in app.heard(Tick) if t.purpose == "background"]
+    assert (shots, r.lamp.on) == ([3, 4], False)
+    app.hear(FrameMissed(tick=4, time_s=0.0, because="camera_gone", reason="x", purpose="background", shot="left.jpg"))
+    app.hear(setup(1), setup_lamps(1))
+    assert (app.heard(Tick)[-1].tick, r.lamp.on) == (5, True)
+
+
+def test_a_rig_without_a_lamp_goes_on_asking_for_photographs(rig: Callable[..., Rig]) -> None:
+    r = rig(backend="none", frame_timeout_s=45.0)
+    r.lamp = NoLamp()
+    app = r.start()
+    pass_in_steps(app, 346.0)
+    assert "stays dark" not in app.troubles["frame"]
+    pass_in_steps(app, 300.0)
+    assert [(f.tick, f.lit) for f in app.heard(Flash)][-2:] == [(3, True), (3, False)]
+
+
 @pytest.mark.parametrize("fault", ["is_broken", "is_gone"])
 def test_a_lamp_that_does_not_light_is_told_and_the_tick_goes_on(rig: Callable[..., Rig], fault: str) -> None:
     r = rig()
