@@ -12,11 +12,10 @@ from flora_common.clock import NS, Clock
 from flora_common.errors import DeviceError, DiskFull
 from flora_common.files import write_text
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
+from flora_common.setup_run import SETUP_LEASE_S
 from flora_flash.backends import Lamp, NoLamp
 from flora_flash.core import STATE_FILE, Beat, Reading
 
-SETUP_LEASE_S: Final = 60.0
-"""A setup run that has said nothing for so long, in real seconds, is over."""
 DARK_AGAIN_S: Final = 5.0
 BOX_AGAIN_S: Final = 1.0
 TIME_OUTS_BEFORE_DARK: Final = 2
