@@ -25,6 +25,10 @@ from flora_uploader.target import Target
 
 CHUNK_BYTES: Final = 1 << 20
 
+SYNC_BYTES: Final = 4 << 20
+"""Copied between two flushes. Behind a page cache one flush waits for all that was written since the last: so much
+crosses a link of 1 Mbit/s within the watchdog's minute, and most photographs are smaller and flushed once."""
+
 
 class SourceGone(StoreError):
     """The file is no longer in the spool."""
@@ -182,12 +186,17 @@ def _copy(source: _Source, target: Target, temporary: str) -> Generator[None, No
     writer = target.create(temporary)
     digest = hashlib.sha256()
     size = 0
+    flushed = 0
     try:
         for chunk in source.chunks():
             digest.update(chunk)
             size += len(chunk)
             writer.write(chunk)
             yield
+            if size - flushed >= SYNC_BYTES:
+                writer.sync()
+                flushed = size
+                yield
         source.check(digest.hexdigest(), size)
         writer.sync()
     finally:

@@ -12,6 +12,7 @@ from uploader_fakes import DAY_NS, Bench, sha
 
 from flora_common.errors import DiskFull, NasRefused, StoreError
 from flora_uploader.model import Settings
+from flora_uploader.transfer import CHUNK_BYTES, SYNC_BYTES, Order, transfer
 
 
 @pytest.fixture
@@ -59,6 +60,29 @@ def test_every_file_of_record_arrives_and_nothing_else(bench: Bench) -> None:
     stored = [event for event in bench.events if event.stage == "stored"]
     assert {event.sha256 for event in stored if event.path == "frames/000001.jpg"} == {sha(b"one"), sha(b"older run")}
     assert stored[0].destination.startswith("/memory/")
+
+
+@pytest.mark.parametrize("size", [3 * SYNC_BYTES + 5, 2 * SYNC_BYTES, SYNC_BYTES - CHUNK_BYTES])
+def test_no_step_of_a_copy_flushes_more_than_a_slow_link_takes_within_the_watchdogs_time(
+    bench: Bench, size: int
+) -> None:
+    source = bench.write("bus/0001.mcap", bytes(size))
+    calls: list[str] = []
+    bench.target.at_call = lambda _number, what: calls.append(what)
+    order = Order(source, "bean/bus/0001.mcap", "once", "", "0badcafe")
+    unsynced = 0
+    for _ in transfer(order, bench.target):
+        step = [what for what in calls if what in ("write", "sync")]
+        calls.clear()
+        assert len(step) <= 1  # the loop that feeds the watchdog has its turn after each
+        if step == ["write"]:
+            unsynced += CHUNK_BYTES
+        elif step == ["sync"]:
+            assert unsynced <= SYNC_BYTES
+            unsynced = 0
+    assert unsynced == 0
+    assert not bench.target.renamed_unsynced
+    assert bench.there("bus/0001.mcap") == bytes(size)
 
 
 def test_oldest_first_tables_last(bench: Bench) -> None:

@@ -109,6 +109,7 @@ class MemoryFile:
     def write(self, data: memoryview) -> None:
         self._target._call("write")
         self._target.files[self._path] += bytes(data)
+        self._target.unsynced.add(self._path)
 
     def sync(self) -> None:
         self._target._call("sync")
