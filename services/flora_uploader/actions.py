@@ -21,24 +21,25 @@ SHOWN: Final = 20
 PROGRESS_EVERY_S: Final = 0.2
 
 
+def percent_free(rig: RigSection, config: UploaderSection) -> float:
+    """Of the spool's disk; all of it where there is no spool yet."""
+    try:
+        return disk_use(runs_dir(rig, config)).percent_free
+    except OSError:
+        return 100.0  # nothing to make room in; the scan tells what is wrong
+
+
 def make_uploader(
     rig: RigSection, config: UploaderSection, ledger: Ledger, say: Callable[[Event], None], *, may_free: bool
 ) -> Uploader:
     """The uploader of a configuration, on the machine's clocks."""
-    spool = runs_dir(rig, config)
 
-    def percent_free() -> float:
-        if not may_free:
-            return 100.0
-        try:
-            return disk_use(spool).percent_free
-        except OSError:
-            return 100.0  # no spool yet, nothing to make room in; the scan tells what is wrong
+    def room() -> float:
+        return percent_free(rig, config) if may_free else 100.0
 
-    world = World(time.monotonic, time.time_ns, percent_free, say)
-    return Uploader(
-        spool, Path(rig.run_dir), make_target(rig, config), ledger, config.settings(), world, may_free=may_free
-    )
+    spool, target = runs_dir(rig, config), make_target(rig, config)
+    world = World(time.monotonic, time.time_ns, room, say)
+    return Uploader(spool, Path(rig.run_dir), target, ledger, config.settings(), world, may_free=may_free)
 
 
 def upload_once(rig: RigSection, config: UploaderSection) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from flora_uploader.policy import DiskAlert
+from flora_uploader.policy import DiskAlert, disk_alert
 
 SENTENCE_LENGTH: Final = 500
 SHOWN: Final = 3
@@ -42,6 +42,15 @@ class Conditions:
 
     def clear(self, key: str) -> None:
         self._holding.pop(key, None)
+
+    def disk_is(self, percent_free: float) -> None:
+        """How much room the spool's disk has, for those who are not root: the steps that it has passed are told."""
+        self.disk = disk_alert(100.0 - percent_free, self.disk)
+        self.set(
+            "disk",
+            f"the spool's disk is more than {self.disk.percent} % full" if self.disk else "",
+            serious=self.disk is not None and self.disk.is_serious,
+        )
 
     @property
     def is_serious(self) -> bool:

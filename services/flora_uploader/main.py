@@ -10,11 +10,12 @@ from flora_common.app import App, Timer
 from flora_common.errors import DiskFull
 from flora_common.messages import Frame, Stored
 from flora_common.service import Action, run_service
-from flora_uploader.actions import make_uploader, show_status, upload_once
+from flora_uploader.actions import make_uploader, percent_free, show_status, upload_once
+from flora_uploader.conditions import Conditions
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, check
 from flora_uploader.ledger import Ledger, LedgerProblem
 from flora_uploader.model import Event
-from flora_uploader.uploader import Uploader
+from flora_uploader.uploader import DISK_EVERY_S, Uploader
 
 LEDGER_AGAIN_S: Final = 10.0
 RESERVE_EVERY_S: Final = 60.0
@@ -23,7 +24,7 @@ RESERVE_EVERY_S: Final = 60.0
 def build(app: App[UploaderSection]) -> None:
     config = app.config
     if not config.target:
-        app.state("ready", SWITCHED_OFF)
+        watch_disk(app)
         return
     uploader: Uploader | None = None
     timer: Timer | None = None
@@ -98,6 +99,19 @@ def build(app: App[UploaderSection]) -> None:
 
     app.on(Frame, heard)
     begin()
+
+
+def watch_disk(app: App[UploaderSection]) -> None:
+    """While uploading is switched off: the disk fills all the sooner where nothing is brought away."""
+    conditions = Conditions()
+    conditions.set("target", SWITCHED_OFF, serious=False)  # said first, whatever else is
+
+    def look() -> None:
+        conditions.disk_is(percent_free(app.rig, app.config))
+        app.state("degraded" if conditions.is_serious else "ready", conditions.sentence())
+
+    look()
+    app.every(DISK_EVERY_S, look)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
 from flora_uploader.ledger import Entry, Ledger, LedgerProblem
 from flora_uploader.model import Event, Settings, Stage, Totals, World
-from flora_uploader.policy import Pause, Waits, disk_alert
+from flora_uploader.policy import Pause, Waits
 from flora_uploader.spool import Spool
 from flora_uploader.target import Target
 from flora_uploader.transfer import (
@@ -35,6 +35,8 @@ SLICE_S: Final = 0.03
 
 SCAN_ALL_EVERY_S: Final = 3600.0
 DISK_EVERY_S: Final = 10.0
+"""The spool's disk is looked at so often, also while uploading is switched off."""
+
 LONGEST_IDLE_S: Final = 60.0
 
 TARGET_PROBLEMS: Final = (NasUnreachable, NasRefused, DiskFull, LedgerProblem, SpoolIsTarget)
@@ -361,13 +363,7 @@ class Uploader:
         if now_s < self._disk_at_s:
             return
         self._disk_at_s = now_s + DISK_EVERY_S
-        alert = disk_alert(100.0 - self._world.percent_free(), self.conditions.disk)
-        self.conditions.disk = alert
-        self.conditions.set(
-            "disk",
-            f"the spool's disk is more than {alert.percent} % full" if alert else "",
-            serious=alert is not None and alert.is_serious,
-        )
+        self.conditions.disk_is(self._world.percent_free())
 
 
 def _destination(entry: Entry) -> str:

@@ -93,6 +93,8 @@ def test_waiting_for_a_target_costs_nothing(bus: Any, tmp_path: Path) -> None:
 
 
 def test_switched_off_is_a_state(bus: Any) -> None:
+    # A file system without blocks is never full: the disk of whoever runs these tests may be.
+    bus.sections["uploader"] = {"runs_dir": "/proc"}
     bus.start_service("flora-bus")
     listener = bus.client()
     process = bus.start_service("flora-uploader")

@@ -7,6 +7,7 @@ import os
 import resource
 import sqlite3
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -15,17 +16,19 @@ from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.messages import Stored
 from flora_uploader import actions, reserve
-from flora_uploader.config import UploaderSection
+from flora_uploader.config import SWITCHED_OFF, UploaderSection
 from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, LedgerProblem, _lock
 from flora_uploader.main import LEDGER_AGAIN_S, RESERVE_EVERY_S, build
 from flora_uploader.retention import DiskUse
+from flora_uploader.uploader import DISK_EVERY_S
 
 
 class App(FakeApp):
     """With what the uploader uses besides."""
 
-    def __init__(self, folder: Path, target: Path) -> None:
-        super().__init__(folder, UploaderSection(target=str(target), marker="", stop_within_s=0.0))
+    def __init__(self, folder: Path, target: Path | Literal[""], *, runs_dir: str = "") -> None:
+        section = UploaderSection(target=str(target), marker="", stop_within_s=0.0, runs_dir=runs_dir)
+        super().__init__(folder, section)
         self.rig = RigSection(run_dir=str(self.run.path), state_dir=str(self.state_dir))
         self.states: list[tuple[str, str]] = []
 
@@ -37,6 +40,31 @@ class App(FakeApp):
 def roomy_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk of whoever runs these tests may be so full that the service is rightly degraded."""
     monkeypatch.setattr(actions, "disk_use", lambda folder: DiskUse(percent_free=90.0))
+
+
+def test_the_disk_is_watched_while_uploading_is_switched_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    percent_free = [20.5]
+    monkeypatch.setattr(actions, "disk_use", lambda folder: DiskUse(percent_free[-1]))
+    app = App(tmp_path, "")
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    assert app.states == [("ready", f"{SWITCHED_OFF}; the spool's disk is more than 50 % full")]
+    for free, state, said in (
+        (20.0, "degraded", "; the spool's disk is more than 80 % full"),
+        (5.0, "degraded", "; the spool's disk is more than 95 % full"),
+        (80.0, "ready", ""),
+    ):
+        percent_free.append(free)
+        app.pass_real_s(DISK_EVERY_S)
+        assert app.states[-1] == (state, SWITCHED_OFF + said)
+    app.leave()
+    assert not app.state_dir.exists()  # nothing else is done
+
+
+def test_a_spool_that_is_not_there_yet_fills_no_disk(tmp_path: Path) -> None:
+    app = App(tmp_path, "", runs_dir=str(tmp_path / "nowhere"))
+    build(app)  # type: ignore[arg-type]
+    assert app.states == [("ready", SWITCHED_OFF)]
 
 
 @pytest.mark.usefixtures("roomy_disk")
