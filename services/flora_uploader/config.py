@@ -10,7 +10,7 @@ import msgspec
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
 from flora_uploader.model import Settings
-from flora_uploader.scan import real_path
+from flora_uploader.scan import SpoolUnreadable, is_run_folder, real_path
 from flora_uploader.target import FolderTarget
 
 SWITCHED_OFF: Final = "switched off: [uploader] target is empty"
@@ -73,6 +73,13 @@ def make_target(rig: RigSection, config: UploaderSection) -> FolderTarget:
     if target == spool:
         raise ConfigError(f"[uploader] target {target}: is the folder of the runs itself; choose another one")
     for folder in (target, *target.parents):
-        if folder == real_path(Path(rig.run_dir)) or (folder.parent == spool and (folder / "run.toml").exists()):
+        if folder == real_path(Path(rig.run_dir)) or (folder.parent == spool and _is_run_folder(folder)):
             raise ConfigError(f"[uploader] target {target}: lies inside the run folder {folder}; choose another one")
     return FolderTarget(Path(config.target), config.marker)
+
+
+def _is_run_folder(folder: Path) -> bool:
+    try:
+        return is_run_folder(folder)
+    except SpoolUnreadable:  # a dead mount is no reason not to start: it is told when the target is asked
+        return False

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,19 +25,42 @@ class SpoolUnreadable(StoreError):
     """A folder of the spool cannot be listed."""
 
 
+@dataclass(frozen=True, slots=True)
+class RunFolders:
+    """What is in the spool.
+
+    Attributes:
+        runs: run folders by name.
+        clashes: left out because another one has the name already.
+        unreadable: left out because they cannot be looked at, and why; by every name that they may have.
+    """
+
+    runs: dict[str, Path]
+    clashes: list[str]
+    unreadable: dict[str, str]
+
+
 def is_run_folder(path: Path) -> bool:
-    """Whether a folder has a ``run.toml``. One that we may not look into is not ours."""
+    """Whether a folder has a ``run.toml``. One that we may not look into is not ours.
+
+    Raises:
+        SpoolUnreadable: its disk or server does not say.
+    """
     try:
-        return (path / "run.toml").is_file()
-    except PermissionError:
+        return stat.S_ISREG((path / "run.toml").stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return False
+    except OSError as problem:
+        if problem.errno == errno.ELOOP:  # a link that leads to itself leads to no run folder
+            return False
+        raise SpoolUnreadable(f"{path}: the run folder cannot be looked at ({problem.strerror})") from problem
 
 
-def run_folders(runs_dir: Path, run_dir: Path) -> tuple[dict[str, Path], list[str]]:
+def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
     """Every run folder of the spool, the rig's present one included. Links count under what they lead to.
 
-    Returns:
-        Folders by name, and those left out because another one has the name already.
+    Raises:
+        SpoolUnreadable: the spool itself cannot be listed.
     """
     candidates = [run_dir]
     try:
@@ -44,21 +70,30 @@ def run_folders(runs_dir: Path, run_dir: Path) -> tuple[dict[str, Path], list[st
         pass  # nothing has run yet
     except OSError as problem:
         raise SpoolUnreadable(f"{runs_dir}: the spool cannot be listed ({problem.strerror})") from problem
-    runs: dict[str, Path] = {}
-    clashes: list[str] = []
-    for path in map(real_path, candidates):
-        if path in runs.values() or not is_run_folder(path):
+    found = RunFolders({}, [], {})
+    for candidate in candidates:
+        path = real_path(candidate)
+        if path in found.runs.values():
             continue
-        if path.name in runs:
-            clashes.append(f"{runs[path.name]} and {path}")
+        try:
+            if not is_run_folder(path):
+                continue
+        except SpoolUnreadable as problem:  # on a dead mount or a bad sector: the others are not held up
+            found.unreadable.update(dict.fromkeys((candidate.name, path.name), str(problem)))
+            continue
+        if path.name in found.runs:
+            found.clashes.append(f"{found.runs[path.name]} and {path}")
         else:
-            runs[path.name] = path
-    return runs, clashes
+            found.runs[path.name] = path
+    return found
 
 
 def real_path(path: Path) -> Path:
     """Without links. ``Path.resolve`` would end in an error where links go in a circle."""
-    return Path(os.path.realpath(path))
+    try:
+        return Path(os.path.realpath(path))
+    except OSError:  # a link that its disk does not give out: who looks through it is told why
+        return path.absolute()
 
 
 def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:

@@ -38,6 +38,14 @@ class Spool:
         self._conditions = conditions
         self._say = say
         self._logs_seen: dict[str, tuple[int, int]] = {}
+        self._unlisted: dict[str, str] = {}
+
+    def is_there(self, run: str) -> bool:
+        """Whether a run folder, seen before, is there now; not where nobody can say. The next scan tells which."""
+        try:
+            return scan.is_run_folder(self.runs[run])
+        except scan.SpoolUnreadable:
+            return False
 
     def hear(self, run: str, path: str, sha256: str) -> None:
         """A photograph was announced.
@@ -64,23 +72,40 @@ class Spool:
         """Tell the ledger of the present run, or of all. Returns whether it came to its end."""
         unnameable: list[str] = []
         try:
-            self.runs, clashes = scan.run_folders(self._runs_dir, self._run_dir)
-            two = f"two run folders have one name, rename one: {clashes[0]}" if clashes else ""
-            self._conditions.set("clashes", two)
-            yield
-            present = scan.real_path(self._run_dir).name
-            for name, folder in sorted(self.runs.items(), key=lambda item: item[0] != present):
-                if everything or name == present:
-                    yield from self._look_through_run(name, folder, unnameable)
+            found = scan.run_folders(self._runs_dir, self._run_dir)
         except scan.SpoolUnreadable as problem:
             self._conditions.set("spool", str(problem))
             return False
         self._conditions.clear("spool")
+        self._take(found)
+        yield
+        present = scan.real_path(self._run_dir).name
+        for name, folder in sorted(self.runs.items(), key=lambda item: item[0] != present):
+            if everything or name == present or name in self._unlisted:
+                try:
+                    yield from self._look_through_run(name, folder, unnameable)
+                    self._unlisted.pop(name, None)
+                except scan.SpoolUnreadable as problem:  # a bad sector: the others are not held up
+                    self._unlisted[name] = str(problem)
+        self._tell_of_unreadable(found)
         if everything:
-            self._give_up_on_runs_that_are_gone()
+            self._give_up_on_runs_that_are_gone(found)
             text = f"{len(unnameable)} files have names that are not UTF-8 text and are not sent: "
             self._conditions.set("unnameable", text + unnameable[0] if unnameable else "")
         return True
+
+    def _take(self, found: scan.RunFolders) -> None:
+        self.runs = found.runs
+        two = f"two run folders have one name, rename one: {found.clashes[0]}" if found.clashes else ""
+        self._conditions.set("clashes", two)
+        self._unlisted = {name: reason for name, reason in self._unlisted.items() if name in found.runs}
+        self._tell_of_unreadable(found)
+
+    def _tell_of_unreadable(self, found: scan.RunFolders) -> None:
+        reasons = list(dict.fromkeys([*found.unreadable.values(), *self._unlisted.values()]))
+        more = f" (and {len(reasons) - 1} more such)" if len(reasons) > 1 else ""
+        text = "check its disk or mount; other run folders are uploaded"
+        self._conditions.set("unreadable", f"{reasons[0]}; {text}{more}" if reasons else "")
 
     def _look_through_run(self, name: str, folder: Path, unnameable: list[str]) -> Work:
         has_new = False
@@ -95,9 +120,9 @@ class Spool:
             self._ledger.expect(name, scan.hashes_of_photographs(folder))
             self._logs_seen[name] = stamp
 
-    def _give_up_on_runs_that_are_gone(self) -> None:
+    def _give_up_on_runs_that_are_gone(self, found: scan.RunFolders) -> None:
         for run, count in self._ledger.waiting_by_run().items():
-            if run not in self.runs:
+            if run not in found.runs and run not in found.unreadable:
                 reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
                 self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
                 self._conditions.set(f"run {run}", reason)

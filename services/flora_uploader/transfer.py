@@ -230,7 +230,11 @@ class _Source:
             raise SourceGone(f"{self._path}: vanished from the spool before it was stored") from problem
         except OSError as problem:
             raise self._unreadable(problem) from problem
-        self.status = os.fstat(self._descriptor)
+        try:
+            self.status = self._status_now()
+        except StoreError:
+            os.close(self._descriptor)
+            raise
         if not stat.S_ISREG(self.status.st_mode):
             os.close(self._descriptor)
             raise SourceUnreadable(f"{self._path}: not a plain file; move it out of the run folder")
@@ -274,12 +278,18 @@ class _Source:
     def check(self, sha256: str, size: int) -> None:
         """After all of it was read: it stood still, and it is what was announced."""
         order = self._order
-        now = os.fstat(self._descriptor)
+        now = self._status_now()
         same = (now.st_size, now.st_mtime_ns) == (self.status.st_size, self.status.st_mtime_ns)
         if size != self.status.st_size or (order.kind == "once" and not same):
             raise SourceChanged(f"{self._path}: was written to while it was read; tried again soon")
         if order.expected and sha256 != order.expected:
             raise SourceDamaged(f"{self._path}: is not what the camera wrote (hash differs); it is not sent")
+
+    def _status_now(self) -> os.stat_result:
+        try:
+            return os.fstat(self._descriptor)
+        except OSError as problem:
+            raise self._unreadable(problem) from problem
 
     def _unreadable(self, problem: OSError) -> SourceUnreadable:
         return SourceUnreadable(f"{self._path}: the spool cannot be read ({problem.strerror}); check its disk")

@@ -226,8 +226,11 @@ class Uploader:
             if not connected:
                 return
             for run, path in sorted(self._spool.runs.items()):
-                folders = [run, *(f"{run}/{inner}" for inner in scan.folders_of_record(path))]
-                for folder in folders:
+                try:
+                    inside = scan.folders_of_record(path)
+                except scan.SpoolUnreadable:
+                    continue  # the scan tells of it; what was left behind there goes the next time
+                for folder in (run, *(f"{run}/{inner}" for inner in inside)):
                     yield
                     for name in self._target.names(folder):
                         if is_temporary_name(name, self._ledger.id):
@@ -263,8 +266,7 @@ class Uploader:
             self._say("stored", entry, sha256=done.sha256, bytes=done.size, reason=aside)
 
     def _source_gone(self, entry: Entry, destination: str, reason: str) -> Work:
-        run = self._spool.runs[entry.run]
-        if not scan.is_run_folder(run):
+        if not self._spool.is_there(entry.run):
             self._spool.runs.pop(entry.run)
             self._scan_all_at_s = 0.0  # the next scan tells what is missing
             return

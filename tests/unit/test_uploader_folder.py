@@ -14,7 +14,7 @@ from flora_uploader.ledger import Found, Ledger
 from flora_uploader.main import main
 from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph, kind_of
 from flora_uploader.target import FolderTarget, store_error
-from flora_uploader.transfer import Order, SourceDamaged, temporary_path, transfer
+from flora_uploader.transfer import Order, SourceDamaged, SourceUnreadable, temporary_path, transfer
 
 
 @pytest.fixture
@@ -102,6 +102,45 @@ def test_a_link_of_the_target_to_the_spool_is_no_copy(nas: Path, tmp_path: Path)
     os.link(tmp_path / "a.jpg", nas / "run/a.jpg")
     with pytest.raises(StoreError, match="not a copy"):
         send(nas, tmp_path / "a.jpg", "run/a.jpg")
+
+
+@pytest.mark.parametrize("call", [1, 2])
+def test_a_disk_that_does_not_tell_of_an_open_file_is_the_files_own_problem(
+    nas: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: int
+) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"x")
+    real, asked = os.fstat, []
+
+    def stale(descriptor: int) -> os.stat_result:
+        asked.append(descriptor)
+        if len(asked) == call:
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+        return real(descriptor)
+
+    open_before = len(list(Path("/proc/self/fd").iterdir()))
+    monkeypatch.setattr(os, "fstat", stale)
+    with pytest.raises(SourceUnreadable, match="Stale file handle"):
+        send(nas, tmp_path / "a.jpg", "run/a.jpg")
+    monkeypatch.undo()
+    assert len(list(Path("/proc/self/fd").iterdir())) == open_before
+
+
+def test_a_dead_target_beside_the_runs_does_not_end_the_start(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nas = config.parent / "runs" / "nas"
+    nas.mkdir()
+    config.write_text(config.read_text().replace(f'target = "{config.parent}/nas"', f'target = "{nas}"'))
+    real = os.stat
+
+    def dead(path: object, *arguments: object, **keywords: object) -> os.stat_result:
+        if str(path).startswith(str(nas)):
+            raise OSError(errno.ENOTCONN, os.strerror(errno.ENOTCONN))
+        return real(path, *arguments, **keywords)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "stat", dead)
+    assert main(["--config", str(config), "--check-config"]) == 0
+    assert "good" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
