@@ -12,7 +12,7 @@ from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import make_folder
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target, runs_dir
-from flora_uploader.ledger import Ledger, read_only
+from flora_uploader.ledger import Ledger, LedgerDamaged, read_only
 from flora_uploader.model import Event, World
 from flora_uploader.retention import disk_use
 from flora_uploader.uploader import Uploader
@@ -64,6 +64,9 @@ def upload_once(rig: RigSection, config: UploaderSection) -> int:
             if sys.stderr.isatty() and time.monotonic() >= shown_s + PROGRESS_EVERY_S:
                 shown_s = time.monotonic()
                 print(f"\r{uploader.stored} stored, {uploader.waiting} waiting ", end="", file=sys.stderr, flush=True)
+    except LedgerDamaged as problem:
+        ledger.close_damaged(problem)
+        raise StoreError(f"{problem}; start again, a new one is then begun from what is at the target") from problem
     finally:
         uploader.abandon()
         ledger.close()

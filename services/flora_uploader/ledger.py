@@ -60,6 +60,10 @@ class LedgerProblem(StoreError):
     """The ledger cannot be read or written just now."""
 
 
+class LedgerDamaged(StoreError):
+    """The ledger is no database any more, which never heals: it has to be closed, and opened to be replaced."""
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One file of record.
@@ -111,8 +115,10 @@ class Ledger:
     Args:
         folder: the rig's state folder.
         target: where files go; under another target everything counts as waiting again.
+        replaced: see there; of one that was put aside while it was open.
 
     Attributes:
+        replaced: what is to be told of a damaged one that was replaced, or empty.
         reserve: room kept for opening it.
         gave_reserve: the disk was full, and the reserve was given up for opening it.
 
@@ -120,9 +126,9 @@ class Ledger:
         StoreError: held by another process, made by a newer version, or not writable.
     """
 
-    def __init__(self, folder: Path, target: str) -> None:
+    def __init__(self, folder: Path, target: str, replaced: str = "") -> None:
         self.path = folder / FILE_NAME
-        self.replaced: str = ""
+        self.replaced = replaced
         self.reserve = Reserve(folder / RESERVE_NAME)
         self.gave_reserve = False
         make_folder(folder)
@@ -138,32 +144,36 @@ class Ledger:
         with contextlib.ExitStack() as undo:
             undo.callback(os.close, _lock(self.path.with_name(f"{FILE_NAME}.lock")))
             self._db = self._open_or_replace()
-            undo.callback(self._db.close)
-            with _told():
-                self.id = self._fact("id", os.urandom(4).hex())
-                if self._fact("target", target) != target:
-                    with self._transaction():
-                        self._db.execute("UPDATE files SET state = 'waiting', sha256 = '' WHERE state = 'stored'")
-                        self._db.execute("UPDATE facts SET value = ? WHERE name = 'target'", (target,))
-                # What was damaged may have been put right by hand: look once more at each start.
-                self._db.execute("UPDATE files SET state = 'waiting' WHERE state = 'damaged'")
-                self._turn = int(self._db.execute("SELECT coalesce(max(turn), 0) FROM files").fetchone()[0])
-                self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
+            undo.callback(self._close_database)
+            try:
+                self._take_up(target)
+            except LedgerDamaged as problem:  # in what the look at opening leaves out
+                self._db.close()
+                self.replaced = _put_aside(self.path, str(problem))
+                self._db = self._open_or_replace()
+                self._take_up(target)
             self._held = undo.pop_all()
+
+    def _take_up(self, target: str) -> None:
+        with _told(self.path):
+            self.id = self._fact("id", os.urandom(4).hex())
+            if self._fact("target", target) != target:
+                with self._transaction():
+                    self._db.execute("UPDATE files SET state = 'waiting', sha256 = '' WHERE state = 'stored'")
+                    self._db.execute("UPDATE facts SET value = ? WHERE name = 'target'", (target,))
+            # What was damaged may have been put right by hand: look once more at each start.
+            self._db.execute("UPDATE files SET state = 'waiting' WHERE state = 'damaged'")
+            self._turn = int(self._db.execute("SELECT coalesce(max(turn), 0) FROM files").fetchone()[0])
+            self.counts = Counter(dict(self._db.execute("SELECT state, count(*) FROM files GROUP BY state")))
 
     def _open_or_replace(self) -> sqlite3.Connection:
         try:
             return self._open()
         except sqlite3.DatabaseError as problem:
-            if isinstance(problem, sqlite3.OperationalError):  # locked, full, not permitted: the file may be good
+            if not _is_damage(problem):
                 raise LedgerProblem(f"{self.path}: the ledger cannot be opened ({problem})") from problem
-            # Damaged: kept for people to look at. A new one believes nothing that it has not read at the target.
-            aside = self.path.with_name(f"{FILE_NAME}.damaged-{os.urandom(4).hex()}")
-            self.path.replace(aside)
-            for suffix in ("-wal", "-shm"):
-                Path(f"{self.path}{suffix}").unlink(missing_ok=True)
-            self.replaced = f"{self.path} was damaged ({problem}); kept as {aside.name}, a new ledger was begun"
-        with _told():
+            self.replaced = _put_aside(self.path, _damage(self.path, problem))
+        with _told(self.path):
             return self._open()
 
     def _open(self) -> sqlite3.Connection:
@@ -200,7 +210,8 @@ class Ledger:
             self._db.execute("COMMIT")
         except BaseException:
             if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
+                with contextlib.suppress(sqlite3.Error):  # of a damaged one not even that; the first error says why
+                    self._db.execute("ROLLBACK")
             raise
 
     # what the scan and the bus tell
@@ -208,7 +219,7 @@ class Ledger:
     def see(self, run: str, found: Iterable[Found]) -> list[str]:
         """Take note of files in the spool: new and changed ones wait. Returns their paths."""
         changed: list[tuple[Found, str | None]] = []
-        with _told():
+        with _told(self.path):
             for file in found:
                 row = self._db.execute(
                     "SELECT size, mtime_ns, state FROM files WHERE run = ? AND path = ?", (run, file.path)
@@ -233,7 +244,7 @@ class Ledger:
         """What the camera wrote, by path. A file that was stored with another content waits to be looked at again."""
         news: list[tuple[str, str, str, str]] = []
         reopened: list[str] = []
-        with _told():
+        with _told(self.path):
             for path, sha256 in sha256_of.items():
                 row = self._db.execute(
                     "SELECT expected, sha256, state FROM files WHERE run = ? AND path = ?", (run, path)
@@ -270,7 +281,7 @@ class Ledger:
         )
 
     def _first(self, where: str, values: tuple[object, ...], may: Callable[[Entry], bool]) -> Entry | None:
-        with _told():
+        with _told(self.path):
             for row in self._db.execute(f"SELECT {_COLUMNS} FROM files WHERE {where}", values):
                 entry = Entry(*row)
                 if may(entry):
@@ -279,7 +290,7 @@ class Ledger:
 
     def waiting_by_run(self) -> dict[str, int]:
         """How many files wait, by run."""
-        with _told():
+        with _told(self.path):
             return dict(self._db.execute("SELECT run, count(*) FROM files WHERE state = 'waiting' GROUP BY run"))
 
     def get(self, run: str, path: str) -> Entry | None:
@@ -308,7 +319,7 @@ class Ledger:
 
     def checked(self, entry: Entry) -> None:
         """Read at the target, and good."""
-        with _told():
+        with _told(self.path):
             self._db.execute("UPDATE files SET turn = ? WHERE run = ? AND path = ?", (self._next_turn(), *entry.key))
 
     def mark(self, entry: Entry, state: FileState, reason: str = "") -> None:
@@ -322,7 +333,7 @@ class Ledger:
 
     def mark_run_vanished(self, run: str, reason: str) -> None:
         """All that waits in a run folder that is no longer there."""
-        with _told():
+        with _told(self.path):
             count = self._db.execute(
                 "UPDATE files SET state = 'vanished', reason = ? WHERE run = ? AND state = 'waiting'",
                 (reason[:500], run),
@@ -339,7 +350,7 @@ class Ledger:
         self._write(entry, None, "DELETE FROM files WHERE run = ? AND path = ?", entry.key)
 
     def _write(self, entry: Entry, state: FileState | None, statement: str, values: tuple[object, ...]) -> None:
-        with _told():
+        with _told(self.path):
             row = self._db.execute("SELECT state FROM files WHERE run = ? AND path = ?", entry.key).fetchone()
             self._db.execute(statement, values)
         if row is not None:
@@ -352,8 +363,26 @@ class Ledger:
         if after is not None:
             self.counts[after] += 1
 
+    def _close_database(self) -> None:
+        self._db.close()
+
     def close(self) -> None:
+        """Let go of it; once more does nothing."""
         self._held.close()
+
+    def close_damaged(self, problem: LedgerDamaged) -> str:
+        """Put it aside and let go of it, so that the next one that is opened is new whatever a look at it finds.
+
+        Returns:
+            What the next one has to tell; empty where it could not be put aside, and the next one looks for itself.
+        """
+        self._db.close()
+        try:
+            return _put_aside(self.path, str(problem))
+        except LedgerProblem:
+            return ""
+        finally:
+            self.close()
 
 
 def read_only(folder: Path) -> sqlite3.Connection:
@@ -373,11 +402,38 @@ def read_only(folder: Path) -> sqlite3.Connection:
     return db
 
 
+def _is_damage(problem: sqlite3.Error) -> bool:
+    """Whether the file is at fault. Locked, full, not permitted, not readable: it may be good."""
+    return isinstance(problem, sqlite3.DatabaseError) and not isinstance(problem, sqlite3.OperationalError)
+
+
+def _damage(path: Path, problem: sqlite3.Error) -> str:
+    return f"{path}: the ledger is damaged ({problem})"
+
+
+def _put_aside(path: Path, damage: str) -> str:
+    """Keep a damaged ledger for people to look at; a new one believes nothing that it has not read at the target.
+
+    Returns:
+        What to tell of it.
+    """
+    aside = path.with_name(f"{FILE_NAME}.damaged-{os.urandom(4).hex()}")
+    try:
+        path.replace(aside)
+        for suffix in ("-wal", "-shm"):
+            Path(f"{path}{suffix}").unlink(missing_ok=True)
+    except OSError as problem:
+        raise LedgerProblem(f"{damage}, and cannot be put aside ({problem.strerror})") from problem
+    return f"{damage}; kept as {aside.name}, a new ledger was begun"
+
+
 @contextlib.contextmanager
-def _told() -> Iterator[None]:
+def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as problem:
+        if _is_damage(problem):
+            raise LedgerDamaged(_damage(path, problem)) from problem
         raise LedgerProblem(
             f"the ledger cannot be read or written ({problem}); uploading rests until it can"
         ) from problem

@@ -13,7 +13,7 @@ from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, percent_free, show_status, upload_once
 from flora_uploader.conditions import Conditions
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, check
-from flora_uploader.ledger import Ledger, LedgerProblem
+from flora_uploader.ledger import Ledger, LedgerDamaged, LedgerProblem
 from flora_uploader.model import Event
 from flora_uploader.uploader import DISK_EVERY_S, Uploader
 
@@ -26,27 +26,49 @@ def build(app: App[UploaderSection]) -> None:
     if not config.target:
         watch_disk(app)
         return
+    ledger: Ledger | None = None
     uploader: Uploader | None = None
     timer: Timer | None = None
+    replaced = ""
 
     def begin() -> None:
-        nonlocal uploader
+        nonlocal ledger, uploader, replaced
         try:
-            ledger = Ledger(app.state_dir, config.target)
-        except (LedgerProblem, DiskFull) as problem:
+            ledger = Ledger(app.state_dir, config.target, replaced)
+        except (LedgerProblem, LedgerDamaged, DiskFull) as problem:
             # A full disk: whoever ended here would be given up by systemd, and be missing when there is room again.
             app.trouble("ledger", str(problem))
             app.after(LEDGER_AGAIN_S, begin)
             return
+        replaced = ""
         app.trouble("ledger", "")
-        app.on_exit(ledger.close)
         if ledger.gave_reserve:
             app.log.warning("reserve_given_up", path=ledger.reserve.path, reason="no room to open the ledger")
-        ledger.reserve.make()
-        app.every(RESERVE_EVERY_S, ledger.reserve.make)
+        keep_reserve()
         uploader = make_uploader(app.rig, config, ledger, say, may_free=True)
-        app.on_exit(finish)
         arm(0.0)  # without the bus too: pictures do not wait for it
+
+    def begin_anew(problem: LedgerDamaged) -> None:
+        """In a while: a disk that damages every ledger is not to be filled with them."""
+        nonlocal ledger, uploader, replaced
+        if uploader is None or ledger is None:
+            return
+        if timer is not None:
+            timer.cancel()
+        uploader.abandon()
+        replaced = ledger.close_damaged(problem)
+        ledger = uploader = None
+        app.log.warning("ledger_damaged", reason=str(problem))
+        app.trouble("ledger", f"{problem}; a new one is begun from what is at the target")
+        app.after(LEDGER_AGAIN_S, begin)
+
+    def close() -> None:
+        if ledger is not None:
+            ledger.close()
+
+    def keep_reserve() -> None:
+        if ledger is not None:
+            ledger.reserve.make()
 
     def say(event: Event) -> None:
         if uploader is None:
@@ -71,7 +93,11 @@ def build(app: App[UploaderSection]) -> None:
     def work() -> None:
         if uploader is None:
             return
-        arm(uploader.step())
+        try:
+            arm(uploader.step())
+        except LedgerDamaged as problem:
+            begin_anew(problem)
+            return
         conditions = uploader.conditions
         app.state("degraded" if conditions.is_serious else "ready", conditions.sentence())
 
@@ -84,20 +110,29 @@ def build(app: App[UploaderSection]) -> None:
     def heard(frame: Frame) -> None:
         if uploader is not None:
             arm(0.0)
-            uploader.hear(frame.run, frame.path, frame.sha256)
+            try:
+                uploader.hear(frame.run, frame.path, frame.sha256)
+            except LedgerDamaged as problem:  # the scan finds the file
+                begin_anew(problem)
 
     def finish() -> None:
         if uploader is None:
             return
         end_s = time.monotonic() + config.stop_within_s
         uploader.begin_closing()
-        while time.monotonic() < end_s and not uploader.is_idle:
-            uploader.step()
-            app.notifier.alive()
+        try:
+            while time.monotonic() < end_s and not uploader.is_idle:
+                uploader.step()
+                app.notifier.alive()
+        except LedgerDamaged as problem:  # replaced at the next start
+            app.log.warning("ledger_damaged", reason=str(problem))
         uploader.abandon()
         app.log.event("stopped", waiting=uploader.waiting, stored=uploader.stored)
 
     app.on(Frame, heard)
+    app.every(RESERVE_EVERY_S, keep_reserve)
+    app.on_exit(close)
+    app.on_exit(finish)  # called first
     begin()
 
 

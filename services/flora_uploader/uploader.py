@@ -14,7 +14,7 @@ from typing import Final
 from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
 from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
-from flora_uploader.ledger import Entry, Ledger, LedgerProblem
+from flora_uploader.ledger import Entry, Ledger, LedgerDamaged, LedgerProblem
 from flora_uploader.model import Event, Settings, Stage, Totals, World
 from flora_uploader.policy import Pause, Waits
 from flora_uploader.spool import Spool
@@ -97,6 +97,7 @@ class Uploader:
         """A photograph was announced: ``step`` sends it without waiting for the next scan.
 
         Raises:
+            LedgerDamaged: as for :meth:`step`.
             StoreError: the spool cannot be read or the ledger not written; the next scan finds the file.
         """
         self._spool.hear(run, path, sha256)
@@ -114,7 +115,11 @@ class Uploader:
         return self._ledger.counts["stored"] + self._ledger.counts["freed"]
 
     def step(self) -> float:
-        """Work for about :data:`SLICE_S`; returns the seconds until the next call is wanted, 0 where there is more."""
+        """Work for about :data:`SLICE_S`; returns the seconds until the next call is wanted, 0 where there is more.
+
+        Raises:
+            LedgerDamaged: nothing can be done any more with this ledger, nor by this uploader.
+        """
         began_s = self._world.now_s()
         while True:
             if self._job is None:
@@ -150,7 +155,11 @@ class Uploader:
 
     @property
     def is_idle(self) -> bool:
-        """Nothing is being done and nothing can be done now."""
+        """Nothing is being done and nothing can be done now.
+
+        Raises:
+            LedgerDamaged: as for :meth:`step`.
+        """
         try:
             return self._job is None and self._next_job(self._world.now_s(), peek=True) is None
         except LedgerProblem:
@@ -330,6 +339,8 @@ class Uploader:
                 self._was_gone = False
                 self._works()
             yield True
+        except LedgerDamaged:
+            raise
         except StoreError as problem:
             self._failed(problem, entry)
         finally:

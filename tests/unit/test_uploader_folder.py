@@ -8,9 +8,10 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+from uploader_fakes import rot
 
 from flora_common.errors import ConfigError, DiskFull, NasRefused, NasUnreachable, StoreError
-from flora_uploader.ledger import Found, Ledger
+from flora_uploader.ledger import Found, Ledger, LedgerDamaged, LedgerProblem
 from flora_uploader.main import main
 from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph, kind_of
 from flora_uploader.target import FolderTarget, store_error
@@ -229,6 +230,45 @@ def test_a_damaged_ledger_is_kept_and_begun_anew(tmp_path: Path) -> None:
     ledger.close()
 
 
+def test_a_ledger_damaged_where_the_look_at_opening_does_not_see_it_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Ledger(tmp_path, "/nas")
+    first.close()
+    whole, tries = Ledger._fact, []
+
+    def malformed_at_first(ledger: Ledger, name: str, value: str) -> str:
+        tries.append(name)
+        if len(tries) == 1:
+            raise sqlite3.DatabaseError("database disk image is malformed")
+        return whole(ledger, name, value)
+
+    monkeypatch.setattr(Ledger, "_fact", malformed_at_first)
+    ledger = Ledger(tmp_path, "/nas")
+    assert "malformed" in ledger.replaced
+    assert ledger.id != first.id
+    assert len(list(tmp_path.glob("uploader.sqlite3.damaged-*"))) == 1
+    ledger.close()
+
+
+def test_a_damaged_ledger_that_cannot_be_put_aside_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    ledger = Ledger(tmp_path, "/nas")
+    rot(ledger)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", refuse)
+        assert ledger.close_damaged(LedgerDamaged("damaged")) == ""
+        with pytest.raises(LedgerProblem, match="cannot be put aside"):
+            Ledger(tmp_path, "/nas")
+    ledger = Ledger(tmp_path, "/nas")
+    assert "a new ledger was begun" in ledger.replaced
+    ledger.close()
+
+
 def test_a_ledger_has_one_user_and_one_version(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path, "/nas")
     with pytest.raises(StoreError, match=f"pid {os.getpid()}"):
@@ -283,6 +323,26 @@ def test_once_and_status(config: Path, nas: Path, capsys: pytest.CaptureFixture[
     (nas / ".flora-nas").unlink()
     assert main(["--config", str(config), "--once"]) == 1
     assert "marker file" in capsys.readouterr().err
+
+
+def test_once_with_a_ledger_that_goes_bad_ends_with_one_line(
+    config: Path, nas: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    see = Ledger.see
+
+    def rotten(ledger: Ledger, run: str, found: list[Found]) -> list[str]:
+        seen = see(ledger, run, found)
+        rot(ledger)
+        return seen
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Ledger, "see", rotten)
+        assert main(["--config", str(config), "--once"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "uploader.sqlite3: the ledger is damaged" in said
+    assert main(["--config", str(config), "--once"]) == 0
+    assert (nas / "bean/frames/000001.jpg").read_bytes() == b"picture"
 
 
 def test_once_tells_of_a_damaged_picture(config: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,14 +6,18 @@ import errno
 import os
 import resource
 import sqlite3
+import time
 from pathlib import Path
 from typing import Literal
 
 import pytest
+from uploader_fakes import rot
 
+from announced_frames import announced
 from device_fakes import FakeApp
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
+from flora_common.files import write_bytes
 from flora_common.messages import Stored
 from flora_uploader import actions, reserve
 from flora_uploader.config import SWITCHED_OFF, UploaderSection
@@ -26,8 +30,12 @@ from flora_uploader.uploader import DISK_EVERY_S
 class App(FakeApp):
     """With what the uploader uses besides."""
 
-    def __init__(self, folder: Path, target: Path | Literal[""], *, runs_dir: str = "") -> None:
-        section = UploaderSection(target=str(target), marker="", stop_within_s=0.0, runs_dir=runs_dir)
+    def __init__(
+        self, folder: Path, target: Path | Literal[""], *, runs_dir: str = "", stop_within_s: float = 0.0
+    ) -> None:
+        section = UploaderSection(
+            target=str(target), marker="", stop_within_s=stop_within_s, runs_dir=runs_dir, scan_every_s=0.1
+        )
         super().__init__(folder, section)
         self.rig = RigSection(run_dir=str(self.run.path), state_dir=str(self.state_dir))
         self.states: list[tuple[str, str]] = []
@@ -87,6 +95,103 @@ def test_a_ledger_that_cannot_be_opened_is_told_and_tried_again(tmp_path: Path) 
     assert "run.toml" in [message.path for message in app.heard(Stored)]
     assert app.states[-1][0] == "ready"
     app.leave()
+
+
+def pass_in_pieces(app: App, seconds: float) -> None:
+    """The service works between."""
+    for _ in range(round(seconds / 0.1)):
+        app.pass_real_s(0.1)
+
+
+def work_until_trouble(app: App) -> None:
+    """The uploader's own clock is the machine's: it scans in a moment."""
+    end_s = time.monotonic() + 10.0
+    while not app.troubles and time.monotonic() < end_s:
+        app.pass_real_s(0.1)
+        time.sleep(0.01)
+
+
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Ledger]:
+    """Every ledger that is opened from now on."""
+    ledgers: list[Ledger] = []
+    begin = Ledger._begin
+
+    def watched(ledger: Ledger, target: str) -> None:
+        begin(ledger, target)
+        ledgers.append(ledger)
+
+    monkeypatch.setattr(Ledger, "_begin", watched)
+    return ledgers
+
+
+@pytest.mark.usefixtures("roomy_disk")
+@pytest.mark.parametrize("noticed_by", ["the work", "an announcement"])
+def test_a_ledger_that_goes_bad_while_running_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noticed_by: str
+) -> None:
+    nas = tmp_path / "nas"
+    nas.mkdir()
+    ledgers = opened(monkeypatch)
+    app = App(tmp_path, nas)
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    pass_in_pieces(app, 2.0)
+    rot(ledgers[0])
+    picture = b"picture"
+    write_bytes(app.run.path / "frames" / "000001.jpg", picture)
+    if noticed_by == "an announcement":
+        app.hear(announced("frames/000001.jpg", picture, 1))
+    else:
+        work_until_trouble(app)
+    assert "damaged" in app.troubles["ledger"]
+    assert app.lines.count("ledger_damaged") == 1
+    assert len(ledgers) == 1
+    pass_in_pieces(app, LEDGER_AGAIN_S + 2.0)
+    assert app.troubles == {}
+    assert len(ledgers) == 2
+    assert (nas / "run" / "frames" / "000001.jpg").read_bytes() == picture
+    assert app.states[-1][0] == "ready"
+    assert "a new ledger was begun" in app.states[-1][1]
+    assert len(list(app.state_dir.glob(f"{FILE_NAME}.damaged-*"))) == 1
+    said = len(app.heard(Stored))
+    pass_in_pieces(app, LEDGER_AGAIN_S + 2.0)
+    assert (len(ledgers), len(app.heard(Stored))) == (2, said)  # and all is quiet
+    app.leave()
+    assert app.lines.count("stopped") == 1
+    Ledger(app.state_dir, str(nas)).close()  # nobody holds it any more
+
+
+@pytest.mark.usefixtures("roomy_disk")
+def test_leaving_while_a_damaged_ledger_waits_to_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ledgers = opened(monkeypatch)
+    app = App(tmp_path, tmp_path / "nas")
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    pass_in_pieces(app, 2.0)
+    rot(ledgers[0])
+    work_until_trouble(app)
+    assert "ledger" in app.troubles
+    app.leave()
+    assert len(ledgers) == 1
+    Ledger(app.state_dir, "/nas").close()
+
+
+@pytest.mark.usefixtures("roomy_disk")
+def test_a_ledger_found_damaged_at_the_end_does_not_keep_the_service_from_ending(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledgers = opened(monkeypatch)
+    nas = tmp_path / "nas"
+    nas.mkdir()
+    app = App(tmp_path, nas, stop_within_s=60.0)
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    pass_in_pieces(app, 2.0)
+    rot(ledgers[0])
+    app.leave()
+    assert "ledger_damaged" in app.lines
+    assert app.lines[-1] == "stopped"
+    assert "a new ledger was begun" in Ledger(app.state_dir, str(nas)).replaced
 
 
 def test_leaving_before_the_ledger_was_opened(tmp_path: Path) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from uploader_fakes import DAY_NS, Bench, sha
+from uploader_fakes import DAY_NS, Bench, rot, sha
 
 from flora_common.errors import DiskFull, NasRefused, StoreError
+from flora_uploader.ledger import LedgerDamaged
 from flora_uploader.model import Settings
 from flora_uploader.transfer import CHUNK_BYTES, SYNC_BYTES, Order, transfer
 
@@ -525,6 +526,30 @@ def test_a_ledger_that_cannot_be_written_lets_all_rest(bench: Bench) -> None:
     bench.work(700.0)
     assert bench.there("frames/000002.jpg") == b"two"
     assert not bench.uploader.conditions.is_serious
+
+
+@pytest.mark.parametrize("call", ["connect", "rename done"])
+def test_a_ledger_that_goes_bad_at_any_moment_is_not_waited_for(bench: Bench, call: str) -> None:
+    bench.photograph(1, b"one")
+    struck: list[str] = []
+
+    def at_call(_number: int, what: str) -> None:
+        if what == call and not struck:
+            struck.append(what)
+            rot(bench.ledger)
+
+    bench.target.at_call = at_call
+    with pytest.raises(LedgerDamaged, match="the ledger is damaged"):
+        bench.work(3600.0)
+    bench.uploader.abandon()
+    told = bench.ledger.close_damaged(LedgerDamaged("damaged"))
+    bench.ledger.close()
+    assert "a new ledger was begun" in told
+    bench.start()
+    bench.work()
+    assert bench.uploader.waiting == 0
+    assert bench.there("frames/000001.jpg") == b"one"
+    assert not [name for name in bench.target.files if "conflict" in name]
 
 
 def test_no_recheck_and_no_deletion_where_switched_off(bench: Bench) -> None:

@@ -126,6 +126,15 @@ class MemoryFile:
         pass
 
 
+def rot(ledger: Ledger) -> None:
+    """What a failing card does to an open ledger: all of the file but its first page is something else."""
+    ledger._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with ledger.path.open("r+b") as file:
+        file.seek(4096)
+        file.write(b"\xa5" * (ledger.path.stat().st_size - 4096))
+    ledger._db.execute("PRAGMA shrink_memory")  # nothing of it is remembered
+
+
 @dataclass
 class Clocks:
     """Real seconds and wall clock, moved by tests only."""
