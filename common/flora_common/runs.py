@@ -136,12 +136,15 @@ class RunFolder:
         """``run.toml``, checked.
 
         Raises:
-            BadRunFolder: missing, not TOML, unknown keys, numbers out of range.
+            BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.
         """
-        if not self.path.is_dir():
-            raise BadRunFolder(f"{self.path}: no such run folder")
-        if not self.run_toml.is_file():
-            raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
+        try:
+            if not self.path.is_dir():
+                raise BadRunFolder(f"{self.path}: no such run folder")
+            if not self.run_toml.is_file():
+                raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
+        except OSError as problem:  # pathlib takes few of them for no
+            raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
         return convert(read_toml(self.run_toml, BadRunFolder), RunFile, where=str(self.run_toml), error=BadRunFolder)
 
     def background_pictures(self) -> list[Path]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -177,3 +179,15 @@ def test_bad_track(tmp_path: Path, text: str | None, said: str) -> None:
     with pytest.raises(BadRunFolder) as caught:
         read_track(path)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOTCONN, errno.ESTALE])
+def test_a_folder_on_a_dead_disk_or_mount_is_told_and_ends_nobody(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int
+) -> None:
+    def dead(*_: object, **__: object) -> os.stat_result:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "stat", dead)
+    with pytest.raises(BadRunFolder, match=f"cannot be looked at .{os.strerror(number)}.; check its disk"):
+        RunFolder(tmp_path).read_run_file()
