@@ -117,12 +117,18 @@ def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
     assert f"{place}: cannot be written, {tmp_path / 'note'} is no folder; name another place with {option}" in said
 
 
-def test_pictures_that_cannot_be_made_leave_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_pictures_that_cannot_be_made_leave_only_the_readings(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = make_run(tmp_path / "run", 10, torn=(0, 5))
-    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--contact", str(tmp_path / "s.png"), "--every", "5"]
-    assert main(command) == 2
-    assert "none of the photographs chosen for it can be used" in capfd.readouterr().err
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["run"]
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--contact", str(tmp_path / "s.png"), "--every"]
+    assert main([*command, "5"]) == 2
+    said = capfd.readouterr().err
+    assert "none of the photographs chosen for it can be used; choose others with --every" in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".t.csv.part", "run"]
+    assert main([*command, "3"]) == 0
+    assert "going on after 10 of 10 frames" in capfd.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "s.png", "t.csv"]
 
 
 def test_the_line_is_drawn_where_it_was_found_in_any_view() -> None:

@@ -150,6 +150,7 @@ def track(
         for reading in readings:
             summary.add(reading)
         if summary.readings == 0:
+            part.remove()  # the same work would come to the same end
             first = f"; the first: {summary.bad[0]}" if summary.bad else ""
             raise BadInput(
                 f"{source.name}: no stem in any of {summary.frames} frames ({summary.outcome_words()}){first}; "

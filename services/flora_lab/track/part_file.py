@@ -4,6 +4,8 @@
 reading, and what the method remembers after it. A line is handed to the kernel as soon as its frame is done, so a
 process that is killed loses at most the frame that it was at. Who starts the same work again goes on from there, and
 comes to the very same track: every number is kept to its last digit. Other work is refused while readings are kept.
+They also outlast bad input that shows only later, such as a contact sheet of torn photographs: a command with other
+options for its pictures goes on from them.
 """
 
 from __future__ import annotations
@@ -76,8 +78,8 @@ class PartFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if isinstance(error, BadInput) or not self.readings:
-            self.remove()  # the same work would come to the same end
+        if not self.readings:
+            self.remove()
         self._file.close()
 
     def add(self, reading: Reading, memory: object) -> None:
@@ -92,7 +94,7 @@ class PartFile:
         self.readings.append(reading)
 
     def remove(self) -> None:
-        """The work is done."""
+        """The work is done, or its readings are of no use."""
         self.path.unlink(missing_ok=True)
 
     def _read(self, indices: range) -> int:

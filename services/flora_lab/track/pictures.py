@@ -181,7 +181,8 @@ class Pictures:
         for part, final in self._parts:
             if not part.exists():
                 raise BadInput(
-                    f"{final}: none of the photographs chosen for it can be used; choose others with --every"
+                    f"{final}: none of the photographs chosen for it can be used; choose others with --every, "
+                    "which goes on from what was read"
                 )
         for part, final in self._parts:
             part.replace(final)
