@@ -7,7 +7,7 @@ file or folder of something else. Whatever is in the way is told before any work
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from flora_common.errors import BadInput
@@ -87,6 +87,22 @@ def check_file(path: Path, *, force: bool, is_ours: IsOurs, what: str, option: s
         raise BadInput(f"{path}: is there already, is not {what} and is not replaced; name another file with {option}")
     if not force:
         raise BadInput(f"{path}: is there already; name another file with {option}, or add --force")
+
+
+def check_apart(paths: Sequence[Path], files_of_input: Callable[[], Iterable[Path]]) -> None:
+    """Whether nothing of the input would be replaced.
+
+    Args:
+        paths: that will be written.
+        files_of_input: lists what is read; asked only where something is in the way.
+
+    Raises:
+        BadInput: one of the paths is a file of the input, whatever links lead to it.
+    """
+    there = {path.resolve(): path for path in paths if path.exists()}
+    for file in files_of_input() if there else ():
+        if (found := there.get(file.resolve())) is not None:
+            raise BadInput(f"{found}: belongs to the input, which stays as it is; name another file")
 
 
 def beginning(path: Path, count: int) -> bytes:

@@ -107,6 +107,37 @@ def test_a_page_is_replaced_only_when_asked_for_and_what_is_no_page_never(
     assert mine.read_text() == "<!doctype html>mine"
 
 
+def test_neither_page_nor_strip_takes_the_place_of_a_file_of_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12), (-5, 15)])
+    photograph = run.frames / "000001.png"
+    picture = np.full((120, 160, 3), 40, dtype=np.uint8)
+    for file in (photograph, run.background / "dark.png", run.path / "000002.png"):
+        write_bytes(file, cv2.imencode(".png", picture)[1].tobytes())
+    write_text(run.frames_csv, run.frames_csv.read_text().replace("frames/000002.jpg", "000002.png"))
+    (tmp_path / "link.png").symlink_to(photograph)
+    (run.frames / "empty.html").touch()
+    before = {file: file.read_bytes() for file in run.path.rglob("*") if file.is_file()}
+    command = ["report", str(run.path), "--force"]
+    page = ["-o", str(tmp_path / "r.html")]
+    for more in (
+        [*page, "--strip", str(photograph)],
+        [*page, "--strip", str(tmp_path / "link.png")],
+        [*page, "--strip", str(run.background / "dark.png")],
+        [*page, "--strip", str(run.path / "000002.png")],
+        ["-o", str(run.frames / "empty.html")],
+    ):
+        assert main([*command, *more]) == 2
+        told = capsys.readouterr().err
+        assert f"{more[-1]}: belongs to the input, which stays as it is; name another file" in told
+        assert told.count("\n") == 1
+    assert {file: file.read_bytes() for file in run.path.rglob("*") if file.is_file()} == before
+    assert not (tmp_path / "r.html").exists()
+    beside = ["-o", str(run.path / "report.html"), "--strip", str(run.path / "strip.png")]
+    assert main([*command, *beside]) == main([*command, *beside]) == 0
+
+
 def test_numbers_for_scripts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run", [(0, 7), (-3, 12)], obstacle=False, target=False)
     assert main(["report", str(run.path), "-o", str(tmp_path / "r.html"), "--json"]) == 0

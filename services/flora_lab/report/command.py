@@ -52,6 +52,8 @@ def report(
     folder = RunFolder(run)
     notes = [_note(text) for text in note or []]
     summary = summarise(folder, stop_height_cm=stop_height_cm, longest_h=longest_h)
+    written = [output] if strip_png is None else [output, strip_png]
+    outputs.check_apart(written, lambda: _files_of(folder, summary))
     panels = strip.strip(folder, summary)
     drawn = {
         "shapes": figures.shapes(summary),
@@ -97,6 +99,17 @@ def _check_outputs(page_html: Path, strip_png: Path | None, *, force: bool) -> N
     if strip_png.absolute() == page_html.absolute():
         raise BadInput("-o and --strip must name different files")
     outputs.check_file(strip_png, force=force, is_ours=outputs.is_png, what="a PNG picture", option="--strip")
+
+
+def _files_of(run: RunFolder, summary: RunSummary) -> list[Path]:
+    """What a run is made of: its tables, its photographs, and everything in the folders of photographs and records.
+
+    A page or strip that an earlier report wrote beside the tables is not of the run.
+    """
+    tables = [run.run_toml, run.frames_csv, run.frames_log, run.track_csv]
+    inside = [file for folder in (run.background, run.frames, run.bus) for file in folder.rglob("*")]
+    named = [run.path / row.file for row in summary.frames]
+    return [*tables, *inside, *named]
 
 
 def _note(text: str) -> tuple[str, str]:

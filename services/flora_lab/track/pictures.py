@@ -96,12 +96,7 @@ class Wanted:
         Raises:
             BadInput: a contact sheet or film that is one of the input's own files.
         """
-        there = {path.resolve(): path for path in self.paths if path.exists()}
-        for file in source.files() if there else ():
-            if file.resolve() in there:
-                raise BadInput(
-                    f"{there[file.resolve()]}: belongs to the input, which stays as it is; name another file"
-                )
+        outputs.check_apart(self.paths, source.files)
 
 
 class Pictures:
