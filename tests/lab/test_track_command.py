@@ -278,6 +278,31 @@ def test_a_covariate_of_the_same_name_is_refused(tmp_path: Path, capfd: pytest.C
     assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--method", "paper", "-q"]) == 0
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_covariate_named_like_a_column_of_every_track_is_refused_before_any_work(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 10)
+    table = (run / "frames.csv").read_text()
+    (run / "frames.csv").write_text(table.replace("temperature_c", "x1"))
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--method", method]) == 2
+    told = capfd.readouterr().err
+    assert told.endswith("run: frames.csv has a column `x1`, which the track needs; rename it\n")
+    assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_covariates_with_commas_and_quotes_in_their_names_come_back(tmp_path: Path) -> None:
+    run, out = make_run(tmp_path / "run", 10), tmp_path / "t.csv"
+    table = (run / "frames.csv").read_text()
+    (run / "frames.csv").write_text(table.replace("temperature_c", '"air, ""inside"""'))
+    assert main(["track", str(run), "-o", str(out), "-q"]) == 0
+    found = read_track(out).covariates
+    assert list(found) == ['air, "inside"', "quality", "folded", "tip_uncertainty_mm"]
+    assert found['air, "inside"'].tolist() == [20.0 + i for i in range(10) if i != 3]
+    assert main(["track", str(run), "-o", str(out), "-q", "--force"]) == 0
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

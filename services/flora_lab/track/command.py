@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from flora_lab.track.part_file import PartFile
 from flora_lab.track.pictures import Pictures, Wanted
 from flora_lab.track.pool import Pool
 from flora_lab.track.readings import Span, Summary
-from flora_lab.track.tables import METHOD_COLUMNS, is_track, track_text
+from flora_lab.track.tables import is_track, own_columns, track_text
 
 
 def register(app: typer.Typer) -> None:
@@ -108,8 +109,7 @@ def track(
         },
     )
     path = isinstance(settings, PathSettings)
-    if path:
-        _no_clash(source)
+    _no_clash(source, own_columns(method_columns=path))
     work = {
         "input": source.fingerprint(),
         "method": method.value,
@@ -193,8 +193,9 @@ def _prepare(
     return learnt, how
 
 
-def _no_clash(source: RunSource | FolderSource | FilmSource) -> None:
+def _no_clash(source: RunSource | FolderSource | FilmSource, own: Sequence[str]) -> None:
+    """Before any work: a track in which a column's name stands twice is read by nothing."""
     covariates: dict[str, Any] = source.rows[0].covariates if isinstance(source, RunSource) else {}
-    for name in METHOD_COLUMNS:
+    for name in own:
         if name in covariates:
             raise BadInput(f"{source.name}: frames.csv has a column `{name}`, which the track needs; rename it")

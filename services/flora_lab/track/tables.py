@@ -16,6 +16,9 @@ from flora_lab.track.readings import Reading
 METHOD_COLUMNS: Final = ("quality", "folded", "tip_uncertainty_mm")
 """Of a method that gives uncertainties; after the covariates."""
 
+TRACK_COLUMNS: Final = tuple(TRACK_HEADER.split(","))
+"""Of every track; before the covariates."""
+
 READINGS_HEADER: Final = (
     "index",
     "file",
@@ -38,16 +41,27 @@ def is_track(path: Path) -> bool:
     return beginning(path, len(TRACK_HEADER)) == TRACK_HEADER.encode()
 
 
+def own_columns(*, method_columns: bool) -> tuple[str, ...]:
+    """Names that no covariate of a track can have."""
+    return (*TRACK_COLUMNS, *METHOD_COLUMNS) if method_columns else TRACK_COLUMNS
+
+
 def track_text(readings: Sequence[Reading], *, method_columns: bool) -> str:
     """``track.csv``: the readings with points, and the covariates that ``frames.csv`` gave them.
 
     Args:
         readings: in order of time; those without points are left out.
         method_columns: add :data:`METHOD_COLUMNS`, numbers like every covariate.
+
+    Names of covariates may hold commas and quotes, as ``frames.csv`` may; they must not be :func:`own_columns`.
     """
     with_points = [(r, r.stem.points_cm) for r in readings if r.stem.points_cm is not None]
     names = list(with_points[0][0].covariates) if with_points else []
-    lines = [",".join([TRACK_HEADER, *names, *(METHOD_COLUMNS if method_columns else ())])]
+    header = io.StringIO()
+    csv.writer(header, lineterminator="").writerow(
+        [*TRACK_COLUMNS, *names, *(METHOD_COLUMNS if method_columns else ())]
+    )
+    lines = [header.getvalue()]
     for r, points_cm in with_points:
         further = [f"{r.covariates[name]!r}" for name in names]
         if method_columns and r.stem.uncertainty_mm is not None:
