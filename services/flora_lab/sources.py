@@ -138,8 +138,12 @@ class RunSource:
         return self.run.target_or_none()
 
     def frames(self) -> Iterator[Frame]:
-        for i, row in enumerate(self.rows):
-            yield Frame(i, row.file, row.time_s, self._picture(self._find(row.file)), row.covariates)
+        return map(self.frame, range(self.count))
+
+    def frame(self, index: int) -> Frame:
+        """One of them, by its place from 0."""
+        row = self.rows[index]
+        return Frame(index, row.file, row.time_s, self._picture(self._find(row.file)), row.covariates)
 
     def background(self) -> list[PictureFile]:
         """Pictures of the setup without a plant, in name order."""

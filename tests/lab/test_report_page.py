@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -105,6 +106,79 @@ def test_a_page_is_replaced_only_when_asked_for_and_what_is_no_page_never(
         assert said in told
         assert told.count("\n") == 1
     assert mine.read_text() == "<!doctype html>mine"
+
+
+def report_with_strip(run: RunFolder, page: Path) -> tuple[int, np.ndarray | None]:
+    """Exit status of a report, and the strip that it wrote."""
+    strip = page.with_suffix(".png")
+    status = main(["report", str(run.path), "-o", str(page), "--strip", str(strip)])
+    return status, cv2.imread(str(strip)) if strip.exists() else None
+
+
+def tear(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-50])
+
+
+def test_a_torn_photograph_is_replaced_by_the_nearest_whole_one_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", [(0, 7 + 0.1 * i) for i in range(40)])
+    status, whole = report_with_strip(run, tmp_path / "whole.html")
+    assert status == 0
+    assert capsys.readouterr().err == ""
+    tear(run.frames / "000020.jpg")
+    status, mended = report_with_strip(run, tmp_path / "mended.html")
+    assert status == 0
+    told = capsys.readouterr().err
+    assert told.startswith("left out of the strip: ")
+    assert "000020.jpg: JPEG is cut short" in told
+    assert told.count("\n") == 1
+    assert whole is not None
+    assert mended is not None
+    assert mended.shape == whole.shape
+    middle = whole.shape[1] // 2
+    assert not np.array_equal(mended[:, :middle], whole[:, :middle])  # the panel of hour 19 says so
+    assert np.array_equal(mended[:, middle:], whole[:, middle:])
+    for file in run.frames.iterdir():
+        tear(file)
+    assert report_with_strip(run, tmp_path / "none.html") == (2, None)
+    told = capsys.readouterr().err
+    assert "none of the 40 photographs can be used; the first: " in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_a_photograph_that_is_not_what_was_taken_is_not_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12), (-5, 15)])
+    taken = [
+        {"file": f"frames/{file.name}", "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+        for file in sorted(run.frames.iterdir())
+    ]
+    run.frames_log.write_text("".join(json.dumps(line) + "\n" for line in taken))
+    other = np.full((120, 160, 3), 200, dtype=np.uint8)
+    write_bytes(run.frames / "000002.jpg", cv2.imencode(".jpg", other)[1].tobytes())
+    status, strip = report_with_strip(run, tmp_path / "r.html")
+    assert status == 0
+    assert strip is not None
+    assert np.median(strip) < 100
+    assert "000002.jpg: SHA-256 is " in capsys.readouterr().err
+
+
+def test_a_photograph_of_another_size_is_not_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12), (-5, 15)])
+    other = np.full((240, 320, 3), 40, dtype=np.uint8)
+    write_bytes(run.frames / "000002.jpg", cv2.imencode(".jpg", other)[1].tobytes())
+    assert report_with_strip(run, tmp_path / "r.html")[0] == 0
+    assert "000002.jpg: is 320x240 px, expected 160x120" in capsys.readouterr().err
+
+
+def test_photographs_named_without_their_folder_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", [(0, 7), (-3, 12)])
+    run.frames_csv.write_text(run.frames_csv.read_text().replace("frames/", ""))
+    assert report_with_strip(run, tmp_path / "r.html")[0] == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_neither_page_nor_strip_takes_the_place_of_a_file_of_the_run(

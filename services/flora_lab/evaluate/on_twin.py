@@ -248,4 +248,4 @@ def _strip(run: RunFolder, stop_height_cm: float) -> bytes:
     judged = summary.summarise(run, stop_height_cm=stop_height_cm)
     end_h = float(judged.track.time_s[judged.stop_row]) / 3600.0
     hours = [end_h * k / STRIP_PANELS for k in range(1, STRIP_PANELS + 1)]
-    return strip.encode_jpeg(strip.strip(run, judged, hours))
+    return strip.encode_jpeg(strip.strip(run, judged, hours).picture)

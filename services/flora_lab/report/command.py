@@ -19,6 +19,8 @@ from flora_lab.report.page import is_page, page
 from flora_lab.report.summary import RunSummary, summarise
 
 STRIP_SUFFIX: Final = ".png"
+BAD_PICTURES_NAMED: Final = 3
+"""Of the photographs that cannot be shown so many are named, the others counted."""
 
 
 def register(app: typer.Typer) -> None:
@@ -55,15 +57,21 @@ def report(
     written = [output] if strip_png is None else [output, strip_png]
     outputs.check_apart(written, lambda: _files_of(folder, summary))
     panels = strip.strip(folder, summary)
+    for reason in panels.left_out[:BAD_PICTURES_NAMED]:
+        typer.echo(f"left out of the strip: {reason}", err=True)
+    if (more := len(panels.left_out) - BAD_PICTURES_NAMED) > 0:
+        typer.echo(f"left out of the strip: {more} more bad pictures", err=True)
     drawn = {
         "shapes": figures.shapes(summary),
         "tip": figures.tip_and_lamps(summary),
         "fitness": figures.fitness_curve(summary),
     }
     heading = title or f"Run {run.resolve().name}"
-    write_text(output, page(summary, title=heading, strip_jpeg=strip.encode_jpeg(panels), figures=drawn, notes=notes))
+    write_text(
+        output, page(summary, title=heading, strip_jpeg=strip.encode_jpeg(panels.picture), figures=drawn, notes=notes)
+    )
     if strip_png is not None:
-        write_bytes(strip_png, strip.encode_png(panels))
+        write_bytes(strip_png, strip.encode_png(panels.picture))
     if as_json:
         typer.echo(json.dumps(numbers(summary)))
     else:
