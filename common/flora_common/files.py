@@ -149,6 +149,29 @@ def sha256_of_bytes(data: bytes) -> str:
 
 
 @contextlib.contextmanager
+def folder_beside(path: Path) -> Iterator[Path]:
+    """A new empty folder, hidden beside ``path``, for what is to become it; gone when the block ends.
+
+    What a process that was killed has left of the same path is removed first.
+    """
+    make_folder(path.parent)
+    _remove_abandoned(path)
+    staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX))
+    # Held until the end of the process at most: who can take it knows that nobody works there. Where a file system
+    # has no locks for folders nobody can take one either, and nothing is removed.
+    lock = os.open(staging, os.O_RDONLY | os.O_DIRECTORY)
+    with contextlib.suppress(OSError):
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        new = staging / "new"
+        new.mkdir()
+        yield new
+    finally:
+        os.close(lock)
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextlib.contextmanager
 def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """A new empty folder that becomes ``path`` when the block ends without an error; after one, nothing is left.
 
@@ -159,35 +182,22 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         DiskFull: no room, named with the path.
         FileExistsError: ``path`` is there, and ``replace`` was not asked for.
     """
-    with _full_disk_told(path, "nothing was written"):
-        make_folder(path.parent)
-        _remove_abandoned(path)
-        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY_SUFFIX))
-        # Held until the end of the process at most: who can take it knows that nobody works there. Where a file system
-        # has no locks for folders nobody can take one either, and nothing is removed.
-        lock = os.open(staging, os.O_RDONLY | os.O_DIRECTORY)
-        with contextlib.suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
-            new = staging / "new"
-            new.mkdir()
-            yield new
-            _flush_tree(new)
-            if replace and path.exists():
-                path.rename(staging / "old")
-                try:
-                    new.rename(path)
-                except BaseException:
-                    (staging / "old").rename(path)
-                    raise
-            elif path.exists():
-                raise FileExistsError(errno.EEXIST, "is there already", str(path))
-            else:
+    with _full_disk_told(path, "nothing was written"), folder_beside(path) as new:
+        yield new
+        _flush_tree(new)
+        if replace and path.exists():
+            old = new.parent / "old"
+            path.rename(old)
+            try:
                 new.rename(path)
-            fsync_folder(path.parent)
-        finally:
-            os.close(lock)
-            shutil.rmtree(staging, ignore_errors=True)
+            except BaseException:
+                old.rename(path)
+                raise
+        elif path.exists():
+            raise FileExistsError(errno.EEXIST, "is there already", str(path))
+        else:
+            new.rename(path)
+        fsync_folder(path.parent)
 
 
 def _remove_abandoned(path: Path) -> None:

@@ -29,6 +29,21 @@ def add_and_strike(self, reading, memory):
 part_file.PartFile.add = add_and_strike
 sys.exit(main(sys.argv[1:]))
 """
+DRAWING = """
+import os, signal, sys
+from flora_lab.main import main
+from flora_lab.track import pictures
+
+keep = pictures.Pictures._keep
+
+def keep_and_strike(self, kind, reading, picture):
+    keep(self, kind, reading, picture)
+    if reading.index == 6:
+        os.kill(os.getpid(), signal.{signal_name})
+
+pictures.Pictures._keep = keep_and_strike
+sys.exit(main(sys.argv[1:]))
+"""
 START = """
 import os, signal, sys
 from flora_lab.main import main
@@ -103,6 +118,36 @@ def test_interrupted_ends_with_its_workers(tmp_path: Path, capfd: pytest.Capture
     assert sorted(p.name for p in tmp_path.iterdir()) == [".t.csv.part", "run"]
     assert main(command) == 0
     assert "going on after 15 of 24 frames" in capfd.readouterr().err
+
+
+def test_sigterm_ends_it_as_ctrl_c_does(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 24)
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--jobs", "2"]
+    ended = run_in_process(COMMAND.format(strike="os.kill(os.getpid(), signal.SIGTERM)"), *command)
+    assert ended.returncode == 143
+    assert ended.stderr.startswith("15 of 24 frames are kept in ")
+    assert ended.stderr.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".t.csv.part", "run"]
+    assert main(command) == 0
+    assert "going on after 15 of 24 frames" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("signal_name", "status", "folders"), [("SIGTERM", 143, 0), ("SIGKILL", -9, 3)])
+def test_ended_while_it_draws_leaves_nothing_for_ever(
+    signal_name: str, status: int, folders: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run, made = make_run(tmp_path / "run", 10), tmp_path / "made"
+    pictures = ["--contact", str(made / "s.png"), "--film", str(made / "f.avi"), "--overlays", str(made / "seen")]
+    command = ["track", str(run), "-o", str(made / "t.csv"), "--jobs", "1", *pictures]
+    ended = run_in_process(DRAWING.format(signal_name=signal_name), *command)
+    assert ended.returncode == status
+    left = [path for path in made.iterdir() if path.name != ".t.csv.part"]
+    assert len(left) == folders
+    assert all(path.is_dir() and path.name.endswith(".part") for path in left)
+    assert (made / ".t.csv.part").exists()
+    assert main(command) == 0
+    assert "going on after 10 of 10 frames" in capfd.readouterr().err
+    assert sorted(p.name for p in made.iterdir()) == ["f.avi", "s.png", "seen", "t.csv"]
 
 
 def test_interrupted_while_workers_start(tmp_path: Path) -> None:

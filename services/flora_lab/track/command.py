@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from flora_lab import outputs
 from flora_lab.lights import parse_rule
 from flora_lab.option_values import must_not
 from flora_lab.sources import FilmSource, FolderSource, RunSource, open_source
+from flora_lab.stopped_work import sigterm_ends
 from flora_lab.track import learning, options, screen
 from flora_lab.track.drawing import DrawReadings
 from flora_lab.track.following import follow_frames
@@ -122,8 +124,10 @@ def track(
     }
     silent = quiet or as_json
     with (
+        sigterm_ends(),
         Pool(options.jobs_of(jobs, count, source.size_px)) as pool,
         PartFile(output, work, span.indices(source.count), fresh=not resume) as part,
+        _kept_told(part, count, silent=silent),
         screen.progress(silent) as stage,
     ):
         resumed = len(part.readings)
@@ -136,15 +140,9 @@ def track(
         how.memory = part.memory
         found = stage("stems", count, resumed)
         rest = Span(span.first + resumed, span.end).take(source.frames())
-        try:
-            for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=between_s):
-                part.add(reading, how.memory)
-                found()
-        except KeyboardInterrupt:
-            if part.readings and not silent:
-                kept = f"{len(part.readings)} of {count} frames are kept in {part.path}"
-                print(f"{kept}; the same command goes on from there", file=sys.stderr)
-            raise
+        for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=between_s):
+            part.add(reading, how.memory)
+            found()
         readings = part.readings
         summary = Summary()
         for reading in readings:
@@ -165,6 +163,18 @@ def track(
         part.remove()
     told = screen.Outcome(source.name, method.value, output, wanted, summary, learnt, lamps, pool.jobs, resumed)
     screen.tell(told, quiet=quiet, as_json=as_json)
+
+
+@contextlib.contextmanager
+def _kept_told(part: PartFile, count: int, *, silent: bool) -> Iterator[None]:
+    """Say what Ctrl-C or SIGTERM leaves to go on from, of ``count`` frames."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if part.readings and not silent:
+            kept = f"{len(part.readings)} of {count} frames are kept in {part.path}"
+            print(f"{kept}; the same command goes on from there", file=sys.stderr)
+        raise
 
 
 def _prepare(

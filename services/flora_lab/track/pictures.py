@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,13 +101,13 @@ class Wanted:
 class Pictures:
     """Draws all that is wanted beside its final place, where :meth:`finish` puts it. A context manager.
 
-    Without :meth:`finish` nothing is left behind.
+    Without :meth:`finish` nothing is left behind; what a killed process left goes with the next drawing of the same.
     """
 
     def __init__(self, wanted: Wanted, readings: Sequence[Reading], drawing: DrawReadings) -> None:
         self._wanted, self._readings, self._drawing = wanted, readings, drawing
         self._parts: list[tuple[Path, Path]] = []
-        self._temporary: list[Path] = []
+        self._folders = contextlib.ExitStack()
         self._film: _Film | None = None
         self._tiles: list[Picture] = []
         self._captions: list[str] = []
@@ -120,13 +119,13 @@ class Pictures:
         return len(self._shown)
 
     def __enter__(self) -> Pictures:
-        for path in self._wanted.paths:
-            files.make_folder(path.parent)
-            beside = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=files.TEMPORARY_SUFFIX))
-            self._temporary.append(beside)
-            self._parts.append((beside / path.name, path))
-        if self._wanted.overlays is not None:
-            self._part_of(self._wanted.overlays).mkdir()
+        with contextlib.ExitStack() as folders:  # undone where an error or a signal comes in between
+            for path in self._wanted.paths:
+                beside = folders.enter_context(files.folder_beside(path))
+                self._parts.append((beside / path.name, path))
+            if self._wanted.overlays is not None:
+                self._part_of(self._wanted.overlays).mkdir()
+            self._folders = folders.pop_all()
         return self
 
     def __exit__(
@@ -134,8 +133,7 @@ class Pictures:
     ) -> None:
         if self._film is not None:
             self._film.close()
-        for folder in self._temporary:
-            shutil.rmtree(folder, ignore_errors=True)
+        self._folders.close()
 
     def draw(self, source: Source, pool: Pool, *, on_picture: Callable[[], None] = lambda: None) -> None:
         """Draw everything.
