@@ -208,7 +208,10 @@ class RunFolder:
             return None
         if not first.endswith("\n") or not first.startswith(TRACK_HEADER):
             return None
-        return [name for name in first.strip()[len(TRACK_HEADER) :].split(",") if name]
+        try:  # names may hold commas, in quotes
+            return next(csv.reader([first.strip()], strict=True))[len(TRACK_HEADER.split(",")) :]
+        except csv.Error:
+            return None
 
 
 class _FrameLine(msgspec.Struct):

@@ -157,6 +157,15 @@ def test_the_mark_that_some_programs_write_before_text_is_no_part_of_it(tmp_path
     assert read_track(run.track_csv).covariates["quality"].tolist() == [0.5, 0.25]
 
 
+def test_a_line_fits_under_columns_whose_names_are_quoted(tmp_path: Path) -> None:
+    run = make(tmp_path)
+    run.track_csv.write_text(f'{TRACK_HEADER},"air, inside",quality\n0,left,{ROW},21.5,0.5\n')
+    run.append_track(300.0, "left", POINTS, {"quality": 0.25})
+    covariates = read_track(run.track_csv).covariates
+    assert covariates["air, inside"].tolist() == [21.5, 0.0]
+    assert covariates["quality"].tolist() == [0.5, 0.25]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
