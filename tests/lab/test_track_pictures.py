@@ -103,6 +103,17 @@ def test_no_picture_takes_the_place_of_one_of_the_input(tmp_path: Path, capfd: p
     assert photograph.read_bytes() == before
 
 
+def test_no_track_takes_the_place_of_an_empty_file_of_the_input(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 6)
+    lost = run / "frames" / "0003.jpg"
+    lost.write_bytes(b"")
+    assert main(["track", str(run), "-o", str(lost), "--force"]) == 2
+    assert "0003.jpg: belongs to the input, which stays as it is" in capfd.readouterr().err
+    assert lost.read_bytes() == b""
+
+
 @pytest.mark.parametrize("option", ["--overlays", "--contact", "--film", "-o"])
 def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -84,7 +84,7 @@ def track(
     span = options.span_of(frames)
     rule = parse_rule(light_from or options.LIGHT_RULE)
     source = open_source(input_path)
-    wanted.check_apart(source)
+    wanted.check_apart(output, source)
     if isinstance(source, RunSource):
         must_not("--interval-s", interval_s, f"{source.folder.frames_csv} tells the times")
         must_not("--light-from", light_from, f"{source.folder.frames_csv} tells the lamps")

@@ -89,13 +89,13 @@ class Wanted:
                 raise BadInput(f"{option}: {path} must end with {' or '.join(suffixes)}")
             outputs.check_file(path, force=force, is_ours=is_ours, what=what, option=option)
 
-    def check_apart(self, source: Source) -> None:
-        """Whether nothing of the input would be replaced.
+    def check_apart(self, track: Path, source: Source) -> None:
+        """Whether nothing of the input would be replaced; ``track`` is the other output.
 
         Raises:
-            BadInput: a contact sheet or film that is one of the input's own files.
+            BadInput: a track, contact sheet or film that is one of the input's own files.
         """
-        outputs.check_apart(self.paths, source.files)
+        outputs.check_apart([track, *self.paths], source.files)
 
 
 class Pictures:
