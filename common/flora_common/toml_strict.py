@@ -7,9 +7,10 @@ import re
 import tomllib
 import types
 import typing
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 import tomli_w
@@ -19,21 +20,56 @@ from flora_common.suggest import clipped, did_you_mean
 
 T = TypeVar("T", bound=msgspec.Struct)
 
+LARGEST_WHOLE: Final = 2**63 - 1
+"""TOML promises whole numbers of 64 bits; larger ones fit neither an array nor a message."""
+_MOST_DIGITS: Final = 4300
+"""Python reads no whole number that is longer, and says so in words of its own."""
+
 
 def read_toml(path: Path, error: type[BadInput]) -> dict[str, Any]:
     """Parse a TOML file.
 
     Raises:
-        error: the file cannot be read or is not TOML; the message names file, line and column.
+        error: the file cannot be read or is not TOML, or holds a whole number beyond 64 bits or
+            a text with a NUL character; the message names the file, and line and column or the key.
     """
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        text = path.read_bytes().decode("utf-8-sig")
+        table = tomllib.loads(text)
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not UTF-8 text (byte {problem.start})") from problem
     except (tomllib.TOMLDecodeError, RecursionError) as problem:
         raise error(f"{path}: not valid TOML: {problem}") from problem
+    except ValueError as problem:  # the only one that is no TOMLDecodeError: of whole numbers that are too long
+        raise error(f"{path}: a whole number is too large{_long_number_at(text)}") from problem
+    for key, value in _values(table):
+        if isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
+            raise error(f"{path}: `{clipped(key)}` is too large, a whole number must lie within ±{LARGEST_WHOLE}")
+        if isinstance(value, str) and "\0" in value:
+            raise error(f"{path}: `{clipped(key)}` holds a NUL character, which no name or text may; take it out")
+    return table
+
+
+def _long_number_at(text: str) -> str:
+    """Where in a file the whole number is that Python does not read; empty where it is not found."""
+    found = re.search(rf"\d[\d_]{{{_MOST_DIGITS},}}", text)
+    return f" (line {text.count(chr(10), 0, found.start()) + 1})" if found else ""
+
+
+def _values(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Every value that is no table or list, with its keys; without recursion, for `a.a.a = 1` nests without end."""
+    left: list[tuple[str, Any]] = [("", table)]
+    while left:
+        place, value = left.pop()
+        if isinstance(value, dict):
+            # The beginning of a key is enough to find it by, and a thousand long ones within one another stay cheap.
+            left.extend((f"{clipped(place)}.{key}" if place else key, inner) for key, inner in value.items())
+        elif isinstance(value, list):
+            left.extend((place, inner) for inner in value)
+        else:
+            yield place, value
 
 
 def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadInput]) -> T:
@@ -82,7 +118,12 @@ def _number_given(data: dict[str, Any], path: str) -> str:
             value = value[int(name) if isinstance(value, list) else name]
         except (KeyError, IndexError, TypeError, ValueError):
             return ""
-    return f", it is {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else ""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return ""
+    try:
+        return f", it is {value:g}"
+    except OverflowError:  # a whole number that no float holds; its hundreds of digits would help nobody
+        return ""
 
 
 def to_toml(value: msgspec.Struct) -> str:

@@ -149,3 +149,51 @@ def test_a_line_without_end_is_not_told_whole(tmp_path: Path) -> None:
     with pytest.raises(BadRunFolder, match=r"unknown key `x{60}…`; known: ") as told:
         convert(read_toml(tmp_path / "a.toml", BadRunFolder), OwnSection, where="a.toml", error=BadRunFolder)
     assert len(str(told.value)) < 200
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("9" * 5000, "a whole number is too large (line 2)"),
+        ("9" * 400, "`rig.health_every_s` is too large, a whole number must lie within ±9223372036854775807"),
+        ("-9223372036854775808", "`rig.health_every_s` is too large"),
+        (f"0x{'f' * 4000}", "`rig.health_every_s` is too large"),
+        (f"[1, {'9' * 20}]", "`rig.health_every_s` is too large"),
+        ('"a\\u0000b"', "`rig.health_every_s` holds a NUL character"),
+    ],
+)
+def test_values_that_can_be_nobodys_are_told_with_their_place(tmp_path: Path, value: str, said: str) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(f"[rig]\nhealth_every_s = {value}\n")
+    with pytest.raises(ConfigError) as told:
+        load_config(path, "led", OwnSection)
+    assert str(told.value).startswith(f"{path}: {said}")
+    assert len(str(told.value)) < len(str(path)) + 200
+
+
+def test_the_largest_whole_number_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("number = 9223372036854775807\n")
+    assert read_toml(tmp_path / "a.toml", ConfigError) == {"number": 2**63 - 1}
+
+
+def test_keys_within_keys_without_end_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(f"{'a.' * 20_000}a = 1\n")
+    with pytest.raises(ConfigError, match=r"unknown section \[a\]"):
+        load_config(tmp_path / "a.toml", "led", OwnSection)
+
+
+def test_a_number_beyond_every_float_is_refused_where_it_does_not_come_from_a_file() -> None:
+    with pytest.raises(ConfigError, match="speed"):
+        convert({"speed": 10**400}, OwnSection, where="--speed", error=ConfigError)
+
+
+@pytest.mark.parametrize("key", ["run_dir", "state_dir"])
+def test_a_folder_with_a_nul_in_its_name_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str
+) -> None:
+    from flora_bus.main import main
+
+    path = tmp_path / "flora.toml"
+    path.write_text(f'[rig]\n{key} = "a\\u0000b"\n')
+    assert main(["--config", str(path), "--check-config"]) == 2
+    assert capsys.readouterr().err.startswith(f"flora-bus: {path}: `rig.{key}` holds a NUL character")
