@@ -176,6 +176,10 @@ class RunFolder:
             path = Path(file)
             if not file or len(file) > LONGEST_PATH or path.is_absolute() or ".." in path.parts:
                 raise BadRunFolder(f"{where}: file `{clipped(file)}` must be a relative path inside the run folder")
+            if "\0" in file:  # what a disk leaves that lost its power; no file can be called so
+                raise BadRunFolder(
+                    f"{where}: file {clipped(repr(file))} holds a NUL character; mend or remove the line"
+                )
             time_s = later_time(row.pop("time_s"), times, where)
             times.append(time_s)
             light = known_light(row.pop("light"), where)

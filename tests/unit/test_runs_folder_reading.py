@@ -122,6 +122,7 @@ def test_no_folder(tmp_path: Path) -> None:
         (b"file,time_s,light\n/etc/passwd,0,left\n", "must be a relative path inside the run folder"),
         (b"file,time_s,light\nframes/../../x.jpg,0,left\n", "must be a relative path inside the run folder"),
         (b"file,time_s,light\n,0,left\n", "file `` must be a relative path"),
+        (b"file,time_s,light\nframes/00\0,0,left\n", r"frames.csv line 2: file 'frames/00\x00' holds a NUL character"),
         (b"file,time_s,light\n\xff.jpg,0,left\n", "frames.csv: not UTF-8 text (byte 18)"),
         (b'file,time_s,light\n"a.jpg,0,left\n', "not a CSV file"),
         (b"file,time_s,light,co2\na.jpg,0,left,inf\n", "line 2: co2 is `inf`, not a finite number"),
