@@ -156,6 +156,9 @@ def grow_runs(
             "--photographs", help="Photograph the plants in place of telling their tracks; some 40 s for 72 hours."
         ),
     ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Drop unfinished --photographs of other settings that are there.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Grow the paper's dataset experiments: run folders with run.toml and track.csv.
@@ -164,7 +167,7 @@ def grow_runs(
 
     With --photographs there is no track.csv, but background/, frames/ and frames.csv as a rig leaves them, for
     `flora-lab track`; the true stems are in truth.csv. The same command, given again after it was killed, goes on after
-    the last whole run.
+    the last whole run; one of other settings is refused until --force drops what is there.
     """
     if output.exists():
         raise BadInput(f"{output}: is there already; name another folder with -o")
@@ -172,13 +175,15 @@ def grow_runs(
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
+    if force and not photographs:
+        raise BadInput("--force: has no effect without --photographs; leave it out")
     if photographs:
         if pixel_cm:
             raise BadInput("--pixel-cm: photographs have pixels of their own; leave it out, or --photographs")
         planned = planned_runs(
             seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours, random_loops=random_loop
         )
-        _photograph(output, planned, hours, quiet=quiet)
+        _photograph(output, planned, hours, quiet=quiet, force=force)
         typer.echo(f"photographed {len(planned)} runs of {hours:g} h in {output}")
         return
     runs = dataset_runs(
@@ -198,7 +203,7 @@ def grow_runs(
     typer.echo(f"wrote {len(runs)} runs of {hours:g} h in {output}")
 
 
-def _photograph(output: Path, planned: Sequence[PlannedRun], hours: float, *, quiet: bool) -> None:
+def _photograph(output: Path, planned: Sequence[PlannedRun], hours: float, *, quiet: bool, force: bool) -> None:
     each, console = photographs_in(hours), Console(stderr=True)
     cv2.setNumThreads(1)  # whoever photographs several folders at a time gives each a core
     with Progress(
@@ -213,6 +218,7 @@ def _photograph(output: Path, planned: Sequence[PlannedRun], hours: float, *, qu
             hours,
             on_photograph=lambda: bar.advance(task),
             on_kept=lambda _name: bar.advance(task, each),
+            force=force,
         )
 
 

@@ -143,6 +143,7 @@ def test_the_same_seed_gives_the_same_files(nine: Path, tmp_path: Path) -> None:
         (["--open-loop", "0", "--closed-loop", "0"], "no runs"),
         (["--seed", "-1"], "--seed"),
         (["--random", "-1"], "--random"),
+        (["--force"], "--force: has no effect without --photographs"),
     ],
 )
 def test_bad_input_is_told_in_one_line(

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from flora_common.errors import BadInput
 from flora_common.files import TEMPORARY_SUFFIX
 from flora_common.geometry import FloatArray
 from flora_common.lock import hold
@@ -33,10 +34,12 @@ def planned(seed: int = 3, closed: int = 1) -> list[PlannedRun]:
     return planned_runs(seed, open_loops=1, closed_loops=closed, hours=HOURS)
 
 
-def small(path: Path, runs: list[PlannedRun], hours: float = HOURS) -> list[str]:
+def small(path: Path, runs: list[PlannedRun], hours: float = HOURS, *, force: bool = False) -> list[str]:
     """Photograph them; what happened, in order: ``.`` for a photograph, names of runs that were there."""
     said: list[str] = []
-    write_runs(path, runs, hours, on_photograph=lambda: said.append("."), on_kept=said.append, camera=SMALL)
+    write_runs(
+        path, runs, hours, on_photograph=lambda: said.append("."), on_kept=said.append, camera=SMALL, force=force
+    )
     return said
 
 
@@ -115,13 +118,80 @@ def test_the_same_seed_gives_the_same_bytes_also_after_it_was_killed(
     assert not part_folder(folder).exists()
 
 
-def test_runs_of_other_settings_are_never_mixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The output of a command that was stopped when its first run was there and its second had begun."""
+
+    def first_only(path: Path, run: PlannedRun, *_rest: object) -> None:
+        (path / "mark").write_text(run.name)
+        if run.name != "open-1":
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(photographed_folder, "write_run", first_only)
+        with pytest.raises(KeyboardInterrupt):
+            small(tmp_path / "runs", planned())
+    return tmp_path / "runs"
+
+
+@pytest.mark.parametrize(
+    ("seed", "closed", "hours", "said"),
+    [
+        (4, 1, HOURS, "run 1 was open-1 of seed 3 and is open-1 of seed 4 now"),
+        (3, 0, HOURS, "the number of runs was 2 and is 1 now"),
+        (3, 1, 2.0, "hours was 1.0 and is 2.0 now"),
+    ],
+)
+def test_finished_runs_of_other_settings_are_kept_and_what_differs_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, closed: int, hours: float, said: str
+) -> None:
+    folder = stopped(tmp_path, monkeypatch)
+    before = content(part_folder(folder))
+    with pytest.raises(BadInput) as told:
+        small(folder, planned(seed, closed), hours)
+    assert str(told.value) == (
+        f"{part_folder(folder)}: holds 1 finished run of other work, {said}; "
+        "give the same settings to go on with it, --force to drop it, or another -o"
+    )
+    after = content(part_folder(folder))
+    assert {name: after[name] for name in ("open-1/mark", WORK_FILE)} == {
+        name: before[name] for name in ("open-1/mark", WORK_FILE)
+    }
+
+
+def test_the_command_drops_runs_of_other_settings_with_force_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = stopped(tmp_path, monkeypatch)
+    monkeypatch.setattr(photographed_folder, "write_run", lambda path, run, *_: (path / "mark").write_text("new"))
+    arguments = ["runs", "--photographs", "--open-loop", "1", "--closed-loop", "0", "--hours", "1", "-o", str(folder)]
+    assert main(arguments) == 2
+    told = capsys.readouterr().err
+    assert "finished run of other work" in told
+    assert told.count("\n") == 1
+    assert main([*arguments, "--force"]) == 0
+    assert content(folder) == {"open-1/mark": b"new"}
+
+
+@pytest.mark.parametrize("work", ['{"runs": "of another seed"}', "[]", "torn", '{"runs": [[], 3, ["a"]]}'])
+def test_runs_of_which_nobody_can_tell_the_settings_are_kept_too(tmp_path: Path, work: str) -> None:
     folder = tmp_path / "runs"
     part = part_folder(folder)
     (part / "open-1").mkdir(parents=True)
+    (part / WORK_FILE).write_text(work)
+    with pytest.raises(BadInput, match="holds 1 finished run of other work"):
+        small(folder, planned(closed=0))
+    assert (part / "open-1").exists()
+    assert small(folder, planned(closed=0), force=True) == ["."] * 13
+    assert (folder / "open-1" / TRUTH_CSV).exists()
+
+
+def test_stopped_work_without_a_finished_run_is_begun_anew(tmp_path: Path) -> None:
+    folder = tmp_path / "runs"
+    part = part_folder(folder)
+    (part / f".open-1.x{TEMPORARY_SUFFIX}").mkdir(parents=True)
     (part / WORK_FILE).write_text(json.dumps({"runs": "of another seed"}))
     assert small(folder, planned(closed=0)) == ["."] * 13
-    assert (folder / "open-1" / TRUTH_CSV).exists()
+    assert [path.name for path in folder.iterdir()] == ["open-1"]
 
 
 def test_two_processes_do_not_make_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
