@@ -28,6 +28,7 @@ import zmq
 from flora_common import files
 from flora_common.errors import BadInput, FloraError
 from flora_common.notify import Notifier
+from flora_common.suggest import clipped
 from flora_twin import faults as menu
 from flora_twin.world import World
 
@@ -37,10 +38,17 @@ TRUTH: Final = "truth.jsonl"
 MAX_REQUEST_BYTES: Final = 1 << 16
 MAX_RATE: Final = 10_000.0
 _CATCH_UP_MS: Final = 1000
+_NS: Final = 1_000_000_000
+_LONGEST_S: Final = 10**9
+"""Of a world, as far as a request may let it wait."""
+_LARGEST_NS: Final = 2**63 - 1
+"""Messages tell times as nanoseconds of 64 bits since 1970."""
+LATEST_START_NS: Final = _LARGEST_NS - _LONGEST_S * _NS
+"""In 2230: a world that starts then still ends at a time that messages can tell."""
 
 log = logging.getLogger("flora-twin")
 
-Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
+Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=_LONGEST_S)]
 
 
 class _Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="op"):
@@ -178,10 +186,15 @@ class WorldServer:
         return {
             "ok": True,
             "time_s": self.world.time_s,
-            "t_utc_ns": self.start_utc_ns + round((self.world.time_s + offset_s) * 1e9),
+            "t_utc_ns": self._utc_ns(offset_s),
             "rate": self.rate,
             "planted": self.world.planted,
         }
+
+    def _utc_ns(self, offset_s: float) -> int:
+        """What the rig's clock shows; one that jumps by centuries stops where 64 bits end."""
+        utc_ns = self.start_utc_ns + round((self.world.time_s + offset_s) * _NS)
+        return min(max(utc_ns, -_LARGEST_NS), _LARGEST_NS)
 
     def _shutter(self, request: Shutter) -> dict[str, Any] | None:
         world = self.world
@@ -325,6 +338,8 @@ def _read_start(path: Path, start_utc_ns: int) -> int:
         kept = json.loads(path.read_bytes())["start_utc_ns"]
         if type(kept) is not int:
             raise ValueError("start_utc_ns is not a whole number")
+        if not 0 <= kept <= LATEST_START_NS:
+            raise ValueError("start_utc_ns lies outside of the years 1970 to 2230")
     except (ValueError, KeyError, TypeError) as problem:
         raise BadInput(f"{path}: damaged ({problem}); remove {path.parent} to start anew") from problem
     return kept
@@ -334,12 +349,15 @@ def parse_start(text: str) -> int:
     """Nanoseconds UTC from ISO 8601 with an offset.
 
     Raises:
-        BadInput: not ISO 8601, or without an offset from UTC.
+        BadInput: not ISO 8601, without an offset from UTC, before 1970 or after :data:`LATEST_START_NS`.
     """
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as problem:
-        raise BadInput(f"start `{text}` is not a time in ISO 8601, such as 2026-03-01T08:00:00Z") from problem
+        raise BadInput(f"start `{clipped(text)}` is not a time in ISO 8601, such as 2026-03-01T08:00:00Z") from problem
     if moment.tzinfo is None:
         raise BadInput(f"start `{text}` has no offset from UTC; add Z")
-    return round(moment.timestamp()) * 1_000_000_000
+    start_utc_ns = round(moment.timestamp()) * _NS
+    if not 0 <= start_utc_ns <= LATEST_START_NS:
+        raise BadInput(f"start `{text}` lies outside of the years 1970 to 2230; choose a time within them")
+    return start_utc_ns

@@ -25,7 +25,7 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_twin.faults import MENU, OPERATIONS
 from flora_twin.main import main
-from flora_twin.server import CHECKPOINT, TRUTH, WorldServer, only_one, parse_start
+from flora_twin.server import CHECKPOINT, LATEST_START_NS, TRUTH, WorldServer, only_one, parse_start
 from flora_twin.strips import OFF, STRIP_BYTES, LampLight, strip_bytes
 from flora_twin.world import World
 
@@ -324,6 +324,35 @@ def test_starts_that_are_no_moment_are_refused(text: str) -> None:
     with pytest.raises(BadInput, match="start"):
         parse_start(text)
     assert parse_start("2026-03-01T08:00:00Z") == START_NS
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["9999-12-31T23:59:59Z", "2231-01-01T00:00:00Z", "0001-01-01T00:00:00+14:00", "1969-12-31T23:59:59Z"],
+)
+def test_starts_that_messages_cannot_tell_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    assert main(["serve", "--start", text, "--state-dir", str(tmp_path / "state")]) == 2
+    assert capsys.readouterr().err == (
+        f"flora-twin: start `{text}` lies outside of the years 1970 to 2230; choose a time within them\n"
+    )
+    assert not (tmp_path / "state").exists()
+
+
+@pytest.mark.parametrize("kept", [-1, LATEST_START_NS + 1, 2**70])
+def test_a_kept_start_that_messages_cannot_tell_is_refused(tmp_path: Path, kept: int) -> None:
+    (tmp_path / "start.json").write_text(json.dumps({"start_utc_ns": kept}))
+    with pytest.raises(BadInput, match=r"start\.json: damaged \(.* 1970 to 2230\); remove .* to start anew"):
+        make(tmp_path)
+
+
+def test_a_world_of_the_latest_start_answers_to_its_end_and_beyond_it_when_its_clock_jumps(tmp_path: Path) -> None:
+    (tmp_path / "start.json").write_text(json.dumps({"start_utc_ns": LATEST_START_NS}))
+    rig = make(tmp_path)
+    assert rig.ask("now")["t_utc_ns"] == LATEST_START_NS
+    rig.ask("fault", name="clock_jumps", on=True, seconds=1e10)
+    assert rig.ask("now")["t_utc_ns"] == 2**63 - 1
 
 
 class Process:
