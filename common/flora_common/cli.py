@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib.metadata
+import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from flora_common.errors import BadInput, FloraError
 
@@ -13,6 +16,7 @@ if TYPE_CHECKING:
     import typer
 
 INTERRUPTED_STATUS = 130
+_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 def version_line(program: str) -> str:
@@ -28,7 +32,9 @@ def run_cli(program: str, work: Callable[[], int | None]) -> int:
     A bug keeps its traceback: it is not caught here.
     """
     try:
-        return work() or 0
+        status = work() or 0
+        _flush_output()
+        return status
     except FloraError as problem:
         print(f"{program}: {problem}", file=sys.stderr)
         return problem.exit_status
@@ -37,8 +43,29 @@ def run_cli(program: str, work: Callable[[], int | None]) -> int:
         return INTERRUPTED_STATUS
     except BrokenPipeError:
         # Whoever read our output has gone (`flora-monitor tail | head`): not an error, and nobody to tell.
-        sys.stderr.close()
+        _drop_output()
         return 0
+    except OSError as problem:
+        # A full disk is no bug; where it holds one of our files, `files` has told the name already.
+        if problem.filename is not None or problem.errno not in _NO_ROOM:
+            raise
+        _drop_output()
+        print(f"{program}: the output cannot be written ({problem.strerror}); free some space", file=sys.stderr)
+        return 1
+
+
+def _flush_output() -> None:
+    """Write what stdout still holds, while its errors can be told: at the interpreter's end they are many lines."""
+    if sys.stdout is not None and not sys.stdout.closed:
+        sys.stdout.flush()
+
+
+def _drop_output() -> None:
+    """Let what stdout still holds go nowhere: the interpreter would try to write it once more at its end, and fail."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # it may be closed, or no file, as under a test
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] | None = None) -> int:
@@ -70,6 +97,11 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
                 raise
             # A path that the person named: missing, not permitted, a file where a folder must be.
             raise BadInput(f"{problem.filename}: {problem.strerror}") from problem
+        except SystemExit as ending:
+            # Typer, and Rich in a help text, end with status 1 by themselves where nobody reads on.
+            if isinstance(ending.__context__, BrokenPipeError):
+                raise BrokenPipeError from ending
+            raise
         if result == INTERRUPTED_STATUS:  # by version, Typer turns Ctrl-C into this status without a word
             raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
