@@ -66,7 +66,9 @@ INPUT_NAMES: Final = POINT_NAMES + TARGET_NAMES + OBSTACLE_NAMES
 """The 26 inputs of the paper, in its order."""
 
 Text = Annotated[str, msgspec.Meta(max_length=1000)]
-Serial = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+LARGEST_SERIAL: Final = 2**53
+"""Every program reads whole numbers up to here from JSON as they are."""
+Serial = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SERIAL)]
 """Up to where every program that reads JSON counts exactly."""
 UtcTime = Annotated[datetime, msgspec.Meta(tz=True)]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]

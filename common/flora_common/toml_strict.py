@@ -90,7 +90,7 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         message = text[: at.start()] if at else text
         path = at.group(1) if at and at.group(1) else ""
         key = f" `{path}`" if path else ""
-        hint = _known_values(into, path, message) or _number_given(data, path)
+        hint = _known_values(into, path, message) or number_given(data, path)
         raise error(f"{where}:{key} {message[0].lower()}{clipped(message[1:], 200)}{hint}") from problem
 
 
@@ -110,8 +110,16 @@ def _known_values(into: type[msgspec.Struct], path: str, message: str) -> str:
     return did_you_mean(wrong.group(1), [str(v) for part in literals for v in typing.get_args(part)])
 
 
-def _number_given(data: dict[str, Any], path: str) -> str:
-    """The number that was refused: ``nan`` is not seen to be out of a range."""
+def number_given(data: dict[str, Any], path: str) -> str:
+    """A clause with the number that was refused: ``nan`` is not seen to be out of a range.
+
+    Args:
+        data: the table that was checked.
+        path: of the number in it: ``noise.omega``, ``window_px[3]``.
+
+    Returns:
+        ``, it is nan``; empty where there is no number at that place.
+    """
     value: Any = data
     for name in re.findall(r"[^.\[\]]+", path):
         try:

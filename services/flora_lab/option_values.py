@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import typer
 
 from flora_common.errors import BadInput
+from flora_common.toml_strict import number_given
 
 LEAST_S: Final = 0.001
 """Tables tell times in milliseconds."""
@@ -43,15 +44,19 @@ def must_not(option: str, given: object, why: str) -> None:
         raise BadInput(f"{option}: has no effect, {why}; leave it out")
 
 
-def refusal(problem: msgspec.ValidationError, options: Mapping[str, str], otherwise: str) -> BadInput:
+def refusal(
+    problem: msgspec.ValidationError, given: dict[str, Any], options: Mapping[str, str], otherwise: str
+) -> BadInput:
     """What is wrong with options that are checked as a struct, told by the option.
 
     Args:
         problem: of the conversion.
+        given: what was converted; the message says which number of it was refused.
         options: by the name of the field, with the names of its tables before it: ``noise.theta_3``.
         otherwise: for a field that is not named there.
     """
     text, _, place = str(problem).partition(" - at `$")
-    field = re.sub(r"\[.*", "", place.strip("`").removeprefix("."))
+    path = place.strip("`").removeprefix(".")
+    field = re.sub(r"\[.*", "", path)
     words = re.sub(r"`(float|int)`", "a number", f"{text[0].lower()}{text[1:]}")
-    return BadInput(f"{options.get(field, otherwise)}: {words}")
+    return BadInput(f"{options.get(field, otherwise)}: {words}{number_given(given, path)}")

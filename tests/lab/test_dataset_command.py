@@ -283,7 +283,7 @@ def test_wrong_numbers_and_names_are_told(tmp_path: Path, capsys: pytest.Capture
         ("--noise-sequences", "101", "<= 100"),
     ):
         told = refused(capsys, [track, "-o", str(out), option, number])
-        assert f"{option}: expected a number {said}" in told
+        assert f"{option}: expected a number {said}, it is {float(number):g}\n" in told
     assert "no area is dense enough" in refused(capsys, [track, "-o", str(out), "--min-tips", "1000"])
     copy = tmp_path / "copy.csv"
     copy.write_text(track_text())

@@ -167,7 +167,8 @@ def test_an_output_that_is_there_is_kept_unless_told_otherwise_and_the_input_alw
         ("--expires", "2027-01-31T12:00:00", "names no time zone"),
         ("--expires", "2020-01-01", "2020-01-01T00:00:00Z is past"),
         ("--serial", "-1", "Invalid value for '--serial'"),
-        ("--serial", str(2**60), "`serial` expected `int` <= 9007199254740992"),
+        ("--serial", str(2**53 + 1), "9007199254740992"),
+        ("--serial", str(2**63), "9007199254740992"),
     ],
 )
 def test_what_cannot_be_signed_is_told(
@@ -176,7 +177,9 @@ def test_what_cannot_be_signed_is_told(
     out = tmp_path / "out.controller.json"
     key = pair / "flora.key"
 
-    assert said in refused(capsys, "sign", TIP_ONLY, "--key", key, "-o", out, option, value)
+    told = refused(capsys, "sign", TIP_ONLY, "--key", key, "-o", out, option, value)
+    assert said in told
+    assert option == "--expires" or f"'{option}'" in told  # the rest is Typer's, by its version
     assert not out.exists()
 
 

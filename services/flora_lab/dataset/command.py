@@ -171,7 +171,7 @@ def _recipe(**values: Any) -> Recipe:
     try:
         return msgspec.convert(values, Recipe)
     except msgspec.ValidationError as problem:
-        raise refusal(problem, _OPTIONS, "recipe") from problem
+        raise refusal(problem, values, _OPTIONS, "recipe") from problem
 
 
 def _steps_text(*, as_json: bool) -> str:

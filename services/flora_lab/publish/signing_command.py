@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from flora_common.controller_file import SUFFIX, load_controller
+from flora_common.controller_file import LARGEST_SERIAL, SUFFIX, load_controller
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes
 
@@ -48,7 +48,10 @@ def sign(
     key: Annotated[Path, typer.Option(metavar="KEY", help="Your flora.key.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help=f"File to write, *{SUFFIX}.")],
     serial: Annotated[
-        int | None, typer.Option(min=0, help="Must grow from file to file; the seconds since 1970 where not given.")
+        int | None,
+        typer.Option(
+            min=0, max=LARGEST_SERIAL, help="Must grow from file to file; the seconds since 1970 where not given."
+        ),
     ] = None,
     expires: Annotated[
         str | None, typer.Option(metavar="DATE", help="From then on rigs do not accept it: 2027-01-31, UTC.")

@@ -248,12 +248,11 @@ def camera_of(
     if anchor is not None and place is not None and not (0 <= place[0] <= width and 0 <= place[1] <= height):
         raise BadInput(f"--anchor: {anchor} lies outside of the picture of {width}x{height} px")
     scale = px_per_cm if px_per_cm is not None else known.px_per_cm if known else None
+    values = {"anchor_px": place, "px_per_cm": scale, "width_px": width, "height_px": height}
     try:
-        return msgspec.convert(
-            {"anchor_px": place, "px_per_cm": scale, "width_px": width, "height_px": height}, CameraSection
-        )
+        return msgspec.convert(values, CameraSection)
     except msgspec.ValidationError as problem:
-        raise refusal(problem, OPTION_NAMES, f"{source.name}: the pictures' size") from problem
+        raise refusal(problem, values, OPTION_NAMES, f"{source.name}: the pictures' size") from problem
 
 
 def span_of(text: str) -> Span:
@@ -289,4 +288,4 @@ def _converted(values: dict[str, Any], kind: type[Any]) -> Any:
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as problem:
-        raise refusal(problem, OPTION_NAMES, "--window") from problem
+        raise refusal(problem, values, OPTION_NAMES, "--window") from problem
