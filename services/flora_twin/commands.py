@@ -22,9 +22,10 @@ from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
 from flora_twin.grow import grow, parse_schedule
+from flora_twin.outputs import must_be_new_file, must_be_new_folder
 from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
-from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, PlannedRun, dataset_runs, planned_runs
+from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, SMALLEST_PIXEL_CM, PlannedRun, dataset_runs, planned_runs
 from flora_twin.seeds import LARGEST_SEED, Seed
 from flora_twin.server import WorldServer, only_one, parse_start, serve
 from flora_twin.world import World
@@ -98,7 +99,7 @@ def picture(
     force: Force = False,
 ) -> None:
     """Take one photograph of a plant that grew under a light schedule."""
-    _must_be_new(output, force=force)
+    must_be_new_file(output, force=force)
     if output.suffix.lower() not in {".jpg", ".jpeg", ".png"}:
         raise BadInput(f"{output}: a picture ends in .jpg or .png")
     if not 0.0 <= hours <= 400.0:
@@ -128,14 +129,9 @@ def grow_track(
     force: Force = False,
 ) -> None:
     """Grow a plant without pictures and write its track."""
-    _must_be_new(output, force=force)
+    must_be_new_file(output, force=force)
     track = grow(seed, schedule, hours)
     files.write_text(output, track_text(track.time_s, track.light, track.points_cm))
-
-
-def _must_be_new(output: Path, *, force: bool) -> None:
-    if output.is_dir() or (output.exists() and not force):
-        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
 
 
 def grow_runs(
@@ -148,7 +144,12 @@ def grow_runs(
     ] = 0,
     hours: Annotated[float, typer.Option(help="Length of each run.")] = HOURS,
     pixel_cm: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Tell tracks in whole pixels of this size; 0 tells them exactly.")
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help=f"Tell tracks in whole pixels of this size, {SMALLEST_PIXEL_CM:g} at least; 0 tells them exactly.",
+        ),
     ] = 0.0,
     photographs: Annotated[
         bool,
@@ -169,12 +170,13 @@ def grow_runs(
     `flora-lab track`; the true stems are in truth.csv. The same command, given again after it was killed, goes on after
     the last whole run; one of other settings is refused until --force drops what is there.
     """
-    if output.exists():
-        raise BadInput(f"{output}: is there already; name another folder with -o")
+    must_be_new_folder(output)
     if open_loop + closed_loop + random_loop == 0:
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:
         raise BadInput(f"hours is {hours:g}; it must lie in [1, 400]")
+    if not (pixel_cm == 0.0 or pixel_cm >= SMALLEST_PIXEL_CM):  # NaN is neither
+        raise BadInput(f"--pixel-cm: {pixel_cm:g} must be 0, or lie in [{SMALLEST_PIXEL_CM:g}, 1]")
     if force and not photographs:
         raise BadInput("--force: has no effect without --photographs; leave it out")
     if photographs:

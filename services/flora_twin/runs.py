@@ -31,6 +31,8 @@ SWITCH_SCHEDULE: Final = "6h"
 DEADBAND_CM: Final = 0.5
 TARGET_X_CM: Final = (2.0, 7.0)
 TARGET_Y_CM: Final = 17.9
+SMALLEST_PIXEL_CM: Final = 1e-4
+"""A track is told to the micrometre; by a pixel near 0 a position divided by it is no number any more."""
 DWELL_H: Final = (0.5, 10.0)
 """How long a lamp shines under random light, hours: from the shortest to the longest."""
 

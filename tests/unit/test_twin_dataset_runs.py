@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from flora_common.runs import Light, RunFolder
 from flora_common.shapes import Target
 from flora_common.tracks import Track, read_track
 from flora_controller.steering import TipFollower, TipFollowerSection, View
+from flora_twin import commands
 from flora_twin.grow import grow
 from flora_twin.main import main
 from flora_twin.runs import DWELL_H, dataset_runs, random_schedule, tip_follower
@@ -143,6 +145,9 @@ def test_the_same_seed_gives_the_same_files(nine: Path, tmp_path: Path) -> None:
         (["--open-loop", "0", "--closed-loop", "0"], "no runs"),
         (["--seed", "-1"], "--seed"),
         (["--random", "-1"], "--random"),
+        (["--pixel-cm", "1e-320"], "--pixel-cm: 9.99989e-321 must be 0, or lie in [0.0001, 1]"),
+        (["--pixel-cm", "nan"], "--pixel-cm"),
+        (["--pixel-cm", "2"], "--pixel-cm"),
         (["--force"], "--force: has no effect without --photographs"),
     ],
 )
@@ -159,3 +164,56 @@ def test_bad_input_is_told_in_one_line(
 def test_an_existing_folder_is_kept(nine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["runs", "-o", str(nine)]) == 2
     assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("output", "said"),
+    [
+        ("file/runs", "cannot be written, {there}/file is no folder; name another place with -o"),
+        ("dangling", "is there already; name another folder with -o"),
+        ("dangling/runs", "cannot be written, {there}/dangling is no folder"),
+        ("/proc/runs", "/proc/runs: cannot be written"),
+    ],
+)
+@pytest.mark.parametrize("more", [[], ["--photographs"]])
+def test_where_no_folder_can_be_made_is_told_before_plants_are_grown(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    output: str,
+    said: str,
+    more: list[str],
+) -> None:
+    def grown(*_: object, **__: object) -> None:
+        raise AssertionError("plants were grown")
+
+    for name in ("dataset_runs", "planned_runs"):
+        monkeypatch.setattr(commands, name, grown)
+    # root may write anywhere
+    monkeypatch.setattr(os, "access", lambda path, _mode: str(path) != "/proc")
+    (tmp_path / "file").write_text("no folder")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    assert main(["runs", "-o", str(tmp_path / output), *more]) == 2
+    told = capsys.readouterr().err
+    assert said.format(there=tmp_path) in told
+    assert told.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dangling", "file"]
+
+
+@pytest.mark.parametrize("command", ["grow", "picture"])
+@pytest.mark.parametrize("more", [[], ["--force"]])
+def test_a_folder_in_place_of_a_file_is_told_with_force_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, more: list[str]
+) -> None:
+    assert main([command, "-o", str(tmp_path), *more]) == 2
+    assert capsys.readouterr().err == f"flora-twin: {tmp_path}: is a folder; name a file with -o\n"
+
+
+def test_a_file_is_replaced_with_force_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    track = tmp_path / "track.csv"
+    track.write_text("mine")
+    assert main(["grow", "-o", str(track), "--hours", "1"]) == 2
+    assert "is there already; name another file with -o, or add --force" in capsys.readouterr().err
+    assert track.read_text() == "mine"
+    assert main(["grow", "-o", str(track), "--hours", "1", "--force"]) == 0
+    assert len(read_track(track).time_s) == 13
