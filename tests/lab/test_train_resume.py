@@ -297,26 +297,44 @@ def test_it_is_written_now_and_then_and_when_it_ends(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda data: b"", "is damaged"),
-        (lambda data: data[:-3], "is damaged"),
-        (lambda data: b"x" * 200, "is damaged"),
-        (lambda data: safetensors.numpy.save(ARRAYS), "not a checkpoint"),
-        (lambda data: safetensors.numpy.save(ARRAYS, {"format": "flora-checkpoint-1"}), "is damaged"),
+        (lambda data: b"", "is damaged, or no checkpoint of this version of flora"),
+        (lambda data: b"x" * 200, "is damaged, or no checkpoint of this version of flora"),
         (
-            lambda data: safetensors.numpy.save(ARRAYS, {"format": "flora-checkpoint-1", "work": "{", "state": "{}"}),
-            "is damaged",
+            lambda data: safetensors.numpy.save(ARRAYS, {"format": "flora-checkpoint-1", "work": "{}", "state": "{}"}),
+            "is damaged, or no checkpoint of this version of flora",
         ),
+        (lambda data: data[:40], "is damaged; "),
+        (lambda data: data[:-3], "is damaged; "),
+        (lambda data: data[:-4] + np.float32("nan").tobytes(), "is damaged; "),
+        (lambda data: data.replace(b'"round": 1', b'"round": 9'), "is damaged; "),
+        (lambda data: data.replace(b'{"round": 1}', b"{}"), "is damaged; "),
+        (lambda data: data.replace(b'{"round": 1}', b"[" * 100_000), "is damaged; "),
     ],
 )
 def test_a_file_that_is_none_is_told(tmp_path: Path, change: Callable[[bytes], bytes], said: str) -> None:
     path = tmp_path / "c"
     with Checkpoint(path, WORK) as checkpoint:
-        checkpoint.offer(ARRAYS, {})
-    path.write_bytes(change(path.read_bytes()))
+        checkpoint.offer(ARRAYS, {"round": 1})
+    damaged = change(path.read_bytes())
+    assert damaged != path.read_bytes()
+    path.write_bytes(damaged)
     with pytest.raises(BadInput, match=said) as told:
         Checkpoint(path, WORK).load()
     assert "--force in place of --resume" in str(told.value)
     assert str(path) in str(told.value)
+    assert path.read_bytes() == damaged
+
+
+def test_a_folder_in_the_place_of_the_checkpoint_is_told_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    path.mkdir()
+    for resume, said in (
+        (True, "c: not a regular file; remove it, or"),
+        (False, "c: cannot be removed (.*); remove it"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            Checkpoint(path, WORK).begin(resume=resume)
+    assert path.is_dir()
 
 
 def test_what_differs_is_named(tmp_path: Path) -> None:

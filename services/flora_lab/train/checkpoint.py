@@ -1,8 +1,8 @@
 """What a training has come to, beside the simulator that it will become.
 
-``.NAME.checkpoint`` beside the folder ``NAME`` is one safetensors file: the arrays, and in its header as JSON what else
-is needed and what the work is. It is replaced whole, so whoever is killed has the one before. It goes when the
-simulator stands.
+``.NAME.checkpoint`` beside the folder ``NAME`` is one file: a line with its form and the SHA-256 of all that follows, a
+line of JSON with what the work is and what else is needed, and the arrays as safetensors. It is replaced whole, so
+whoever is killed has the one before. It goes when the simulator stands.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import safetensors
 import safetensors.numpy
 
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_lab.stopped_work import check_same_work
 
-FORMAT: Final = "flora-checkpoint-1"
+FORMAT: Final = "flora-checkpoint-2"
 EVERY_S: Final = 1.0
 
 Array = npt.NDArray[Any]
@@ -95,8 +94,9 @@ class Checkpoint:
         """Write what was offered last, unless it is written already."""
         if self._pending is None:
             return
-        header = {"format": FORMAT, "work": json.dumps(self._work), "state": json.dumps(self._pending.state)}
-        files.write_bytes(self.path, safetensors.numpy.save(dict(self._pending.arrays), header))
+        about = json.dumps({"work": self._work, "state": self._pending.state}).encode()
+        body = about + b"\n" + safetensors.numpy.save(dict(self._pending.arrays))
+        files.write_bytes(self.path, f"{FORMAT} {files.sha256_of_bytes(body)}\n".encode() + body)
         self._pending = None
         self._written_s = self._clock()
 
@@ -104,11 +104,14 @@ class Checkpoint:
         """What to go on from, or None: then what was kept before is dropped.
 
         Raises:
-            BadInput: see :meth:`load`.
+            BadInput: see :meth:`load`; or it cannot be dropped.
         """
         if resume:
             return self.load()
-        self.path.unlink(missing_ok=True)
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as problem:
+            raise BadInput(f"{self.path}: cannot be removed ({problem.strerror}); {_IN_THE_WAY}") from problem
         return None
 
     def load(self) -> Saved | None:
@@ -119,17 +122,29 @@ class Checkpoint:
         """
         if not self.path.exists():
             return None
+        if not self.path.is_file():
+            raise BadInput(f"{self.path}: not a regular file; {_IN_THE_WAY}")
         try:
-            with safetensors.safe_open(self.path, framework="numpy") as file:
-                header = file.metadata() or {}
-                arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
-            if header.get("format") != FORMAT:
-                raise BadInput(f"{self.path}: not a checkpoint; {_REMEDY}")
-            work, state = json.loads(header["work"]), json.loads(header["state"])
-        except (safetensors.SafetensorError, ValueError, KeyError) as problem:
-            raise BadInput(f"{self.path}: is damaged; {_REMEDY}") from problem
+            data = self.path.read_bytes()
+        except OSError as problem:
+            raise BadInput(f"{self.path}: cannot be read ({problem.strerror}); {_REMEDY}") from problem
+        work, saved = self._opened(data)
         check_same_work(self.path, work, self._work, _REMEDY)
-        return Saved(arrays, state)
+        return saved
+
+    def _opened(self, data: bytes) -> tuple[Mapping[str, Any], Saved]:
+        """What the work was, and what was kept. The recipes trust it: nothing that has changed comes past here."""
+        seal, _, body = data.partition(b"\n")
+        if not seal.startswith(f"{FORMAT} ".encode()):
+            raise BadInput(f"{self.path}: is damaged, or no checkpoint of this version of flora; {_REMEDY}")
+        if seal != f"{FORMAT} {files.sha256_of_bytes(body)}".encode():
+            raise BadInput(f"{self.path}: is damaged; {_REMEDY}")
+        about, _, arrays = body.partition(b"\n")
+        kept = json.loads(about)
+        # copies: a training goes on in them, and those of safetensors cannot be written
+        found = {name: np.array(array) for name, array in safetensors.numpy.load(arrays).items()}
+        return kept["work"], Saved(found, kept["state"])
 
 
 _REMEDY: Final = "give --force in place of --resume to begin anew, or another -o"
+_IN_THE_WAY: Final = "remove it, or give another -o"
