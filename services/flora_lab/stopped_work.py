@@ -88,9 +88,13 @@ def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any],
         remedy: what to do about a difference.
 
     Raises:
-        BadInput: one line that says what differs, by the name of each setting, three of them at most.
+        BadInput: one line that says what differs, by the name of each setting, three of them at most; or ``then`` is
+            nested as no work is.
     """
-    was, is_now = _flat(then), _flat(now)
+    try:
+        was, is_now = _flat(then), _flat(now)
+    except RecursionError as problem:
+        raise BadInput(f"{path}: is damaged; {remedy}") from problem
     other = [name for name in sorted({*was, *is_now}) if was.get(name) != is_now.get(name)]
     if not other:
         return

@@ -106,3 +106,16 @@ def test_a_damaged_time_is_told(tmp_path: Path, damage: bytes) -> None:
     (tmp_path / "e" / TIME_FILE).unlink()
     with begun(tmp_path / "e", resume=True) as kept:
         assert kept.worked.commands == 1
+
+
+@pytest.mark.parametrize(
+    "damage", [b"", b"[]", b'{"\xff": 1}', b"[" * 100_000, b'{"seed": ' + b"[" * 1500 + b"]" * 1500 + b"}"]
+)
+def test_a_damaged_work_file_is_told_and_nothing_is_dropped(tmp_path: Path, damage: bytes) -> None:
+    with begun(tmp_path / "e") as kept:
+        kept.save(1, b"a run")
+    (tmp_path / "e" / WORK_FILE).write_bytes(damage)
+    said = r"e(/work\.json)?: (cannot be read|is damaged); give --force in place of --resume"
+    with pytest.raises(BadInput, match=said), begun(tmp_path / "e", resume=True):
+        pass
+    assert (tmp_path / "e" / "run-01.json").read_bytes() == b"a run"

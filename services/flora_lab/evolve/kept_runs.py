@@ -161,14 +161,14 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
             return msgspec.json.decode(path.read_bytes(), type=Worked)
         except FileNotFoundError:
             return Worked()
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as problem:
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
             raise BadInput(f"{path}: cannot be read; remove it, and time counts from now on") from problem
 
     def _read_work(self) -> dict[str, Any]:
         path = self.path / WORK_FILE
         try:
             work = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as problem:
+        except (OSError, ValueError, RecursionError) as problem:
             raise BadInput(f"{path}: cannot be read; {_REMEDY}") from problem
         if not isinstance(work, dict):
             raise BadInput(f"{path}: is damaged; {_REMEDY}")
