@@ -209,6 +209,19 @@ def test_rounds_are_told_and_a_checkpoint_of_other_runs_is_refused(short: list[M
         train(runs[:1], replace(options, resume=True), Told())
 
 
+def test_fewer_rounds_than_are_done_already_are_refused(short: list[MeasuredRun], tmp_path: Path) -> None:
+    runs = load_runs([written(tmp_path, one) for one in short])
+    options = TrainOptions(seed=1, checkpoint=tmp_path / "c", epochs=2)
+    train(runs, options, Told())
+    before = options.checkpoint.read_bytes()
+    with pytest.raises(BadInput, match="c: holds 2 rounds and 1 are asked for; give --epochs 2 or more, or --force"):
+        train(runs, replace(options, epochs=1, resume=True), Told())
+    assert options.checkpoint.read_bytes() == before
+    told = Told()
+    assert train(runs, replace(options, resume=True), told).results["rounds"] == 2
+    assert (told.begun, told.epochs) == ([(2, 2)], [])
+
+
 def test_a_checkpoint_of_lamps_elsewhere_is_refused(short: list[MeasuredRun], tmp_path: Path) -> None:
     paths = [written(tmp_path, one) for one in short]
     options = TrainOptions(seed=1, checkpoint=tmp_path / "c", epochs=1)

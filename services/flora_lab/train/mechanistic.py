@@ -39,7 +39,8 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     expectation and maximisation.
 
     Raises:
-        BadInput: runs that are too short, or of boxes with lamps in different places.
+        BadInput: runs that are too short, or of boxes with lamps in different places; a checkpoint of other work, or
+            of more rounds than are asked for.
     """
     measured = usable(runs)
     lamps = lamps_of(runs, progress)
@@ -58,6 +59,11 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     saved = checkpoint.begin(resume=options.resume)
     if saved is not None:
         found, done = _restored(saved.arrays, saved.state)
+    if done > rounds:
+        raise BadInput(
+            f"{checkpoint.path}: holds {done} rounds and {rounds} are asked for; give --epochs {done} or more, or "
+            "--force in place of --resume to begin anew"
+        )
     progress.begin(rounds, done)
     with one_blas_thread(), checkpoint:
         for number in range(done + 1, rounds + 1):
