@@ -134,6 +134,11 @@ def _end_of_last_line(file: BinaryIO, size: int) -> int:
     return 0
 
 
+def shown(name: Path | str) -> str:
+    """A file name as text that can be kept in a file: bytes of it that are no UTF-8 become U+FFFD."""
+    return os.fsencode(name).decode("utf-8", "replace")
+
+
 def sha256_of_file(path: Path) -> str:
     """SHA-256 of a file's content as 64 hex digits."""
     digest = hashlib.sha256()

@@ -24,7 +24,7 @@ class RunTrack:
     """A run's track and where it came from.
 
     Attributes:
-        name: of the run.
+        name: of the run; text that can be written, whatever bytes the name of its file has.
         plant: which plant it was: ``plant`` of run.toml, or the run's name.
         file: the track, as it was given.
         sha256: of the file.
@@ -73,13 +73,14 @@ def load_run(path: Path) -> RunTrack:
         raise BadInput(f"{path}: no such run or track")
     if not path.is_dir():
         name = path.resolve().parent.name if path.name == "track.csv" else path.stem
+        name = files.shown(name)
         return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
     folder = RunFolder(path)
     if not folder.track_csv.is_file():
         inner = any(path.glob("*/track.csv"))
         hint = f"; name the runs in it: {path}/*" if inner else f"; make it with `flora-lab track {path}`"
         raise BadInput(f"{path}: holds no track.csv{hint}")
-    name = path.resolve().name
+    name = files.shown(path.resolve().name)
     run_file = folder.read_run_file() if folder.run_toml.exists() else None
     plant = run_file.plant.strip() if run_file else ""
     sha256 = files.sha256_of_file(folder.track_csv)

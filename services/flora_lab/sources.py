@@ -185,8 +185,7 @@ class FolderSource:
 
     def frames(self) -> Iterator[Frame]:
         for i, file in enumerate(self._files):
-            name = os.fsencode(file.name).decode("utf-8", "replace")
-            yield Frame(i, name, None, PictureFile(file, self.size_px))
+            yield Frame(i, files.shown(file.name), None, PictureFile(file, self.size_px))
 
     def fingerprint(self) -> str:
         return _hash(map(_state_of, self._files))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -156,6 +157,18 @@ def test_counts_of_a_small_track_by_hand(tmp_path: Path, capsys: pytest.CaptureF
     assert counts["noise-eq8-16"] == (120, 116)
     assert counts["generic-eq17"] == (120 + 64 * 6, 116 + 64 * 5)
     assert counts["mirror"] == counts["pairs"] == (1008, 872)
+
+
+def test_a_track_whose_name_is_no_utf_8_makes_a_training_set(tmp_path: Path) -> None:
+    track = small(tmp_path).rename(tmp_path / os.fsdecode(b"pl\xe4nt.csv"))
+    folder = tmp_path / os.fsdecode(b"r\xfcn")
+    folder.mkdir()
+    (folder / "track.csv").write_text(track_text(phase=1.0))
+    out = tmp_path / "data"
+    assert main(["dataset", str(track), str(folder), "-o", str(out), "--json", *SMALL]) == 0
+    runs = read_dataset(out).info.run
+    assert [run.name for run in runs] == [run.plant for run in runs] == ["pl\ufffdnt", "r\ufffdn"]
+    assert runs[0].file == f"{tmp_path}/pl\ufffdnt.csv"
 
 
 # What is refused

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -163,6 +164,12 @@ def test_files_that_are_no_tables(tmp_path: Path, capsys: pytest.CaptureFixture[
     ):
         assert main(["rhythm", *arguments]) == 2
         assert word in capsys.readouterr().err
+
+
+def test_a_track_whose_name_is_no_utf_8_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    track = table(tmp_path / os.fsdecode(b"t\xefp.csv"))
+    found = one(capsys, str(track), "-o", str(tmp_path / "out"))
+    assert (found["name"], found["file"]) == ("t\ufffdp", f"{tmp_path}/t\ufffdp.csv")
 
 
 @STALK.needed

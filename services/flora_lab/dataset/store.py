@@ -144,7 +144,7 @@ def write_dataset(
             software=f"flora {importlib.metadata.version('flora')}",
             numpy=np.__version__,
             recipe=recipe,
-            run=[RunEntry(r.name, r.plant, str(r.file), r.sha256, len(r.track.time_s)) for r in runs],
+            run=[RunEntry(r.name, r.plant, files.shown(r.file), r.sha256, len(r.track.time_s)) for r in runs],
             count=[CountEntry(c.step, c.stems, c.vectors) for c in built.counts],
         )
         (folder / INFO_FILE).write_text(to_toml(info), encoding="utf-8")

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import msgspec
 
+from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, emulated, stored_base
@@ -194,7 +195,7 @@ def diagnose(
         summary=summary(causes, left, nearest(explanation)),
         described=_described(left),
         record=list(runs.notes),
-        runs=[str(track.file) for track in runs.tracks],
+        runs=[files.shown(track.file) for track in runs.tracks],
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),
         base={"learned_from": start.learned_from, **_base_words(start.known)},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -98,5 +97,5 @@ def only(task: Task, scenario: str | None) -> Task:
 
 
 def _name(path: Path) -> str:
-    name = os.fsencode(path.name).decode("utf-8", "replace")
+    name = files.shown(path.name)
     return name.removesuffix(SUFFIX) or name

@@ -62,7 +62,7 @@ def _one(rhythm: Rhythm) -> dict[str, Any]:
     step = track.step
     return {
         "name": track.name,
-        "file": str(track.file),
+        "file": files.shown(track.file),
         "time_unit": track.time_unit,
         "unit": track.unit,
         "along": rhythm.along,

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import finite_number, later_time, read_csv
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
@@ -105,7 +106,7 @@ def read_tip(path: Path, *, step_s: float | None = None, px_per_cm: float | None
     per_unit = px_per_cm if is_in_px and px_per_cm else _MM_PER_CM if names is PLANT_TRACER else 1.0
     has_hours = is_timed or step_s is not None
     return _even(
-        path.stem,
+        files.shown(path.stem),
         path,
         at * ((1.0 if is_timed else step_s or 1.0) / 3600.0 if has_hours else 1.0),
         tips / per_unit,
