@@ -72,6 +72,7 @@ def load_run(path: Path) -> RunTrack:
     if not path.exists():
         raise BadInput(f"{path}: no such run or track")
     if not path.is_dir():
+        check_regular(path)
         name = path.resolve().parent.name if path.name == "track.csv" else path.stem
         name = files.shown(name)
         return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
@@ -86,6 +87,16 @@ def load_run(path: Path) -> RunTrack:
     sha256 = files.sha256_of_file(folder.track_csv)
     lamps = run_file.lamps if run_file else None
     return RunTrack(name, plant or name, folder.track_csv, sha256, read_track(folder.track_csv), lamps)
+
+
+def check_regular(path: Path) -> None:
+    """Whether a file can be read to its end, and as often as is needed.
+
+    Raises:
+        BadInput: a pipe or a device, which may never end.
+    """
+    if not path.is_file():
+        raise BadInput(f"{path}: not a regular file; write what it gives into one, and name that")
 
 
 def load_runs(paths: Sequence[Path]) -> list[RunTrack]:

@@ -188,6 +188,9 @@ def test_no_runs_no_output_and_a_missing_file_are_told(tmp_path: Path, capsys: p
     assert "no RUNS given" in refused(capsys, ["-o", str(out)])
     assert "-o is missing" in refused(capsys, [str(small(tmp_path))])
     assert "absent.csv: no such run or track" in refused(capsys, [str(tmp_path / "absent.csv"), "-o", str(out)])
+    os.mkfifo(tmp_path / "pipe.csv")
+    for path in ("/dev/zero", str(tmp_path / "pipe.csv")):
+        assert f"{path}: not a regular file; write what it gives into one" in refused(capsys, [path, "-o", str(out)])
     (tmp_path / "empty").mkdir()
     assert "holds no track.csv; make it with `flora-lab track" in refused(
         capsys, [str(tmp_path / "empty"), "-o", str(out)]

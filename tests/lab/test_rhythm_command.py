@@ -154,11 +154,14 @@ def test_tracks_that_hold_too_little(
 def test_files_that_are_no_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     binary = tmp_path / "film.mp4"
     binary.write_bytes(bytes(range(256)))
+    os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "there").mkdir()
     table(tmp_path / "tip.csv")
     for arguments, word in (
         ([str(tmp_path / "none.csv")], "no such track"),
         ([str(binary)], "not a CSV file"),
+        ([str(tmp_path / "pipe.csv")], "pipe.csv: not a regular file; write what it gives into one"),
+        (["/dev/zero"], "/dev/zero: not a regular file"),
         ([str(tmp_path / "there")], "holds no track.csv"),
         ([str(tmp_path / "tip.csv"), "-o", str(tmp_path / "there")], "is there already"),
     ):

@@ -23,7 +23,7 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import finite_number, later_time, read_csv
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
-from flora_lab.run_tracks import RunTrack, load_run
+from flora_lab.run_tracks import RunTrack, check_regular, load_run
 
 Array = npt.NDArray[Any]
 
@@ -122,6 +122,7 @@ def _header(path: Path) -> list[str] | None:
         return None
     if not path.exists():
         raise BadInput(f"{path}: no such track")
+    check_regular(path)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return next(csv.reader(file), [])
