@@ -167,6 +167,8 @@ def change_info(folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]]
         (lambda i: {**i, "format": 2}, "format 2 is not known"),
         (lambda i: {k: v for k, v in i.items() if k != "format"}, "format None is not known"),
         (lambda i: {**i, "step_s": 0.0}, "step_s"),
+        (lambda i: {**i, "step_s": 1e-300}, "`step_s` .*>= 0.001"),
+        (lambda i: {**i, "step_s": float("nan")}, "step_s"),
         (lambda i: {**i, "step_s": "long"}, "`step_s` expected `float`"),
         (lambda i: {**i, "weights_sha256": "abc"}, "weights_sha256"),
         (lambda i: {**i, "colour": 1}, "unknown key `colour`"),

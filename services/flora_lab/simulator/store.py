@@ -34,7 +34,9 @@ FIGURES: Final = frozenset({"training.png"})
 
 Array = npt.NDArray[Any]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+LEAST_STEP_S: Final = 1e-3
+"""No camera is faster, and the times of a track are still counted in whole steps."""
+StepSeconds = Annotated[float, msgspec.Meta(ge=LEAST_STEP_S, le=1e9)]
 
 
 class TrackEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,7 +86,7 @@ class SimulatorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         format: of the folder.
         kind: which class reads it.
-        step_s: the step that it was made for.
+        step_s: the step that it was made for, in s, at least :data:`LEAST_STEP_S`.
         weights_sha256: of ``weights.safetensors``.
         provenance: where it comes from.
         scales: numbers that the kind needs beside its weights; units stand in the names.
@@ -93,7 +95,7 @@ class SimulatorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     format: int
     kind: str
-    step_s: Positive
+    step_s: StepSeconds
     weights_sha256: Sha256
     provenance: Provenance
     scales: dict[str, Any] = {}
