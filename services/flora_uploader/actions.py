@@ -12,7 +12,8 @@ from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import make_folder
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target, runs_dir
-from flora_uploader.ledger import Ledger, LedgerDamaged, read_only
+from flora_uploader.ledger import Ledger, read_only
+from flora_uploader.ledger_damage import LedgerDamaged
 from flora_uploader.model import Event, World
 from flora_uploader.retention import disk_use
 from flora_uploader.uploader import Uploader

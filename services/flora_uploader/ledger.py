@@ -18,6 +18,7 @@ from typing import Final, Literal
 from flora_common.errors import StoreError
 from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
+from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem, damage, is_damage, put_aside, told
 from flora_uploader.policy import Kind
 from flora_uploader.reserve import Reserve
 
@@ -54,14 +55,6 @@ CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 """
 
 _COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, turn, reason"
-
-
-class LedgerProblem(StoreError):
-    """The ledger cannot be read or written just now."""
-
-
-class LedgerDamaged(StoreError):
-    """The ledger is no database any more, which never heals: it has to be closed, and opened to be replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,13 +142,13 @@ class Ledger:
                 self._take_up(target)
             except LedgerDamaged as problem:  # in what the look at opening leaves out
                 self._db.close()
-                self.replaced = _put_aside(self.path, str(problem))
+                self.replaced = put_aside(self.path, str(problem))
                 self._db = self._open_or_replace()
                 self._take_up(target)
             self._held = undo.pop_all()
 
     def _take_up(self, target: str) -> None:
-        with _told(self.path):
+        with told(self.path):
             self.id = self._fact("id", os.urandom(4).hex())
             if self._fact("target", target) != target:
                 with self._transaction():
@@ -170,10 +163,10 @@ class Ledger:
         try:
             return self._open()
         except sqlite3.DatabaseError as problem:
-            if not _is_damage(problem):
+            if not is_damage(problem):
                 raise LedgerProblem(f"{self.path}: the ledger cannot be opened ({problem})") from problem
-            self.replaced = _put_aside(self.path, _damage(self.path, problem))
-        with _told(self.path):
+            self.replaced = put_aside(self.path, damage(self.path, problem))
+        with told(self.path):
             return self._open()
 
     def _open(self) -> sqlite3.Connection:
@@ -219,7 +212,7 @@ class Ledger:
     def see(self, run: str, found: Iterable[Found]) -> list[str]:
         """Take note of files in the spool: new and changed ones wait. Returns their paths."""
         changed: list[tuple[Found, str | None]] = []
-        with _told(self.path):
+        with told(self.path):
             for file in found:
                 row = self._db.execute(
                     "SELECT size, mtime_ns, state FROM files WHERE run = ? AND path = ?", (run, file.path)
@@ -244,7 +237,7 @@ class Ledger:
         """What the camera wrote, by path. A file that was stored with another content waits to be looked at again."""
         news: list[tuple[str, str, str, str]] = []
         reopened: list[str] = []
-        with _told(self.path):
+        with told(self.path):
             for path, sha256 in sha256_of.items():
                 row = self._db.execute(
                     "SELECT expected, sha256, state FROM files WHERE run = ? AND path = ?", (run, path)
@@ -281,7 +274,7 @@ class Ledger:
         )
 
     def _first(self, where: str, values: tuple[object, ...], may: Callable[[Entry], bool]) -> Entry | None:
-        with _told(self.path):
+        with told(self.path):
             for row in self._db.execute(f"SELECT {_COLUMNS} FROM files WHERE {where}", values):
                 entry = Entry(*row)
                 if may(entry):
@@ -290,7 +283,7 @@ class Ledger:
 
     def waiting_by_run(self) -> dict[str, int]:
         """How many files wait, by run."""
-        with _told(self.path):
+        with told(self.path):
             return dict(self._db.execute("SELECT run, count(*) FROM files WHERE state = 'waiting' GROUP BY run"))
 
     def get(self, run: str, path: str) -> Entry | None:
@@ -319,7 +312,7 @@ class Ledger:
 
     def checked(self, entry: Entry) -> None:
         """Read at the target, and good."""
-        with _told(self.path):
+        with told(self.path):
             self._db.execute("UPDATE files SET turn = ? WHERE run = ? AND path = ?", (self._next_turn(), *entry.key))
 
     def mark(self, entry: Entry, state: FileState, reason: str = "") -> None:
@@ -333,7 +326,7 @@ class Ledger:
 
     def mark_run_vanished(self, run: str, reason: str) -> None:
         """All that waits in a run folder that is no longer there."""
-        with _told(self.path):
+        with told(self.path):
             count = self._db.execute(
                 "UPDATE files SET state = 'vanished', reason = ? WHERE run = ? AND state = 'waiting'",
                 (reason[:500], run),
@@ -350,7 +343,7 @@ class Ledger:
         self._write(entry, None, "DELETE FROM files WHERE run = ? AND path = ?", entry.key)
 
     def _write(self, entry: Entry, state: FileState | None, statement: str, values: tuple[object, ...]) -> None:
-        with _told(self.path):
+        with told(self.path):
             row = self._db.execute("SELECT state FROM files WHERE run = ? AND path = ?", entry.key).fetchone()
             self._db.execute(statement, values)
         if row is not None:
@@ -378,7 +371,7 @@ class Ledger:
         """
         self._db.close()
         try:
-            return _put_aside(self.path, str(problem))
+            return put_aside(self.path, str(problem))
         except LedgerProblem:
             return ""
         finally:
@@ -400,43 +393,6 @@ def read_only(folder: Path) -> sqlite3.Connection:
     except sqlite3.Error as problem:
         raise StoreError(f"{path}: the ledger cannot be read ({problem})") from problem
     return db
-
-
-def _is_damage(problem: sqlite3.Error) -> bool:
-    """Whether the file is at fault. Locked, full, not permitted, not readable: it may be good."""
-    return isinstance(problem, sqlite3.DatabaseError) and not isinstance(problem, sqlite3.OperationalError)
-
-
-def _damage(path: Path, problem: sqlite3.Error) -> str:
-    return f"{path}: the ledger is damaged ({problem})"
-
-
-def _put_aside(path: Path, damage: str) -> str:
-    """Keep a damaged ledger for people to look at; a new one believes nothing that it has not read at the target.
-
-    Returns:
-        What to tell of it.
-    """
-    aside = path.with_name(f"{FILE_NAME}.damaged-{os.urandom(4).hex()}")
-    try:
-        path.replace(aside)
-        for suffix in ("-wal", "-shm"):
-            Path(f"{path}{suffix}").unlink(missing_ok=True)
-    except OSError as problem:
-        raise LedgerProblem(f"{damage}, and cannot be put aside ({problem.strerror})") from problem
-    return f"{damage}; kept as {aside.name}, a new ledger was begun"
-
-
-@contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except sqlite3.Error as problem:
-        if _is_damage(problem):
-            raise LedgerDamaged(_damage(path, problem)) from problem
-        raise LedgerProblem(
-            f"the ledger cannot be read or written ({problem}); uploading rests until it can"
-        ) from problem
 
 
 def _lock(path: Path) -> int:

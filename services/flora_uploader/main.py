@@ -13,7 +13,8 @@ from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, percent_free, show_status, upload_once
 from flora_uploader.conditions import Conditions
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, check
-from flora_uploader.ledger import Ledger, LedgerDamaged, LedgerProblem
+from flora_uploader.ledger import Ledger
+from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem
 from flora_uploader.model import Event
 from flora_uploader.uploader import DISK_EVERY_S, Uploader
 

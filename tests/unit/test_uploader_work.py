@@ -13,7 +13,7 @@ import pytest
 from uploader_fakes import DAY_NS, Bench, rot, sha
 
 from flora_common.errors import DiskFull, NasRefused, StoreError
-from flora_uploader.ledger import LedgerDamaged
+from flora_uploader.ledger_damage import LedgerDamaged
 from flora_uploader.model import Settings
 from flora_uploader.transfer import CHUNK_BYTES, SYNC_BYTES, Order, transfer
 
