@@ -103,7 +103,7 @@ class Demands:
 
 
 USUAL: Final = Demands(changed=0.01, correlation=0.85, worst_band=0.75, gain=0.68, elsewhere=0.25)
-OF_THE_FIRST: Final = Demands(changed=0.006, correlation=0.93, worst_band=0.85, gain=0.8, elsewhere=0.15, uneven=14.0)
+OF_THE_FIRST: Final = Demands(changed=0.006, correlation=0.93, worst_band=0.85, gain=0.85, elsewhere=0.15, uneven=14.0)
 OF_FRAMES: Final = Demands(changed=0.15, correlation=-1.0, worst_band=-1.0, gain=0.0, elsewhere=1.0)
 """A setup learnt from the plant's own pictures has ghosts of it."""
 
