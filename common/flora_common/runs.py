@@ -137,12 +137,15 @@ class RunFolder:
 
         Raises:
             BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.
+            PermissionError: the caller may not look into it.
         """
         try:
             if not self.path.is_dir():
                 raise BadRunFolder(f"{self.path}: no such run folder")
             if not self.run_toml.is_file():
                 raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
+        except PermissionError:
+            raise  # it may be a good one, for another user
         except OSError as problem:  # pathlib takes few of them for no
             raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
         return convert(read_toml(self.run_toml, BadRunFolder), RunFile, where=str(self.run_toml), error=BadRunFolder)
