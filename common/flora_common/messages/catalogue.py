@@ -13,6 +13,7 @@ from flora_common.messages.envelope import (
     Fitness,
     Gain,
     Message,
+    Microseconds,
     Millimetres,
     Milliseconds,
     Name,
@@ -90,7 +91,7 @@ class Frame(Message, kw_only=True, frozen=True):
     flash_confirmed: bool
     exposure_ok: Annotated[bool, Meta(description="the camera's own metadata equal the locked exposure")]
     exposure_note: Annotated[Sentence, Meta(description="what differed")] = ""
-    exposure_us: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+    exposure_us: Microseconds = 0.0
     analogue_gain: Gain = 0.0
     digital_gain: Gain = 0.0
     red_gain: Gain = 0.0

@@ -14,6 +14,7 @@ import msgspec
 
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
+Microseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 Millimetres = Annotated[float, msgspec.Meta(ge=-10_000.0, le=10_000.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
