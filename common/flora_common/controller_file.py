@@ -67,9 +67,8 @@ INPUT_NAMES: Final = POINT_NAMES + TARGET_NAMES + OBSTACLE_NAMES
 
 Text = Annotated[str, msgspec.Meta(max_length=1000)]
 LARGEST_SERIAL: Final = 2**53
-"""Every program reads whole numbers up to here from JSON as they are."""
-Serial = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SERIAL)]
 """Up to where every program that reads JSON counts exactly."""
+Serial = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SERIAL)]
 UtcTime = Annotated[datetime, msgspec.Meta(tz=True)]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,11 +19,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
+from flora_common.outputs import can_be_made, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
 from flora_twin.grow import grow, parse_schedule
-from flora_twin.outputs import must_be_new_file, must_be_new_folder
 from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, SMALLEST_PIXEL_CM, PlannedRun, dataset_runs, planned_runs
@@ -99,7 +100,7 @@ def picture(
     force: Force = False,
 ) -> None:
     """Take one photograph of a plant that grew under a light schedule."""
-    must_be_new_file(output, force=force)
+    _must_be_new_file(output, force=force)
     if output.suffix.lower() not in {".jpg", ".jpeg", ".png"}:
         raise BadInput(f"{output}: a picture ends in .jpg or .png")
     if not 0.0 <= hours <= 400.0:
@@ -129,9 +130,17 @@ def grow_track(
     force: Force = False,
 ) -> None:
     """Grow a plant without pictures and write its track."""
-    must_be_new_file(output, force=force)
+    _must_be_new_file(output, force=force)
     track = grow(seed, schedule, hours)
     files.write_text(output, track_text(track.time_s, track.light, track.points_cm))
+
+
+def _must_be_new_file(output: Path, *, force: bool) -> None:
+    if output.is_dir():
+        raise BadInput(f"{output}: is a folder; name a file with -o")
+    if os.path.lexists(output) and not force:
+        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
+    can_be_made(output)
 
 
 def grow_runs(
@@ -170,7 +179,7 @@ def grow_runs(
     `flora-lab track`; the true stems are in truth.csv. The same command, given again after it was killed, goes on after
     the last whole run; one of other settings is refused until --force drops what is there.
     """
-    must_be_new_folder(output)
+    must_be_new(output)
     if open_loop + closed_loop + random_loop == 0:
         raise BadInput("no runs: --open-loop, --closed-loop and --random are all 0")
     if not 1.0 <= hours <= 400.0:

@@ -15,6 +15,7 @@ from flora_common.messages.envelope import (
     Message,
     Microseconds,
     Millimetres,
+    MillimetresSd,
     Milliseconds,
     Name,
     OptionalSha256,
@@ -125,7 +126,7 @@ class Stem(Message, kw_only=True, frozen=True):
     method: Annotated[Name, Meta(description="how it was found")] = "paper"
     folded: Annotated[bool, Meta(description="the stem turns back and passes some heights more than once")] = False
     uncertainty_mm: Annotated[
-        tuple[Annotated[float, Meta(ge=0.0, le=10_000.0)], ...],
+        tuple[MillimetresSd, ...],
         Meta(max_length=STEM_POINTS, description="standard deviation of each point; ten or none"),
     ] = ()
     frame_sha256: OptionalSha256 = ""

@@ -12,11 +12,14 @@ from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
 
+# Named, so that each is made once: an annotation written out in a message is evaluated anew for each schema, and
+# typing may then give back an equal one that somebody made with whole numbers.
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Microseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 Millimetres = Annotated[float, msgspec.Meta(ge=-10_000.0, le=10_000.0)]
+MillimetresSd = Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Ampere = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]

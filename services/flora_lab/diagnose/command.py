@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_common.outputs import must_be_new
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
-from flora_lab.outputs import must_be_new
 
 _module = modules_of("flora_lab.diagnose")
 

@@ -23,12 +23,12 @@ import msgspec
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.lock import AlreadyHeld, hold
+from flora_common.outputs import is_there
 from flora_common.runs import track_text
 from flora_common.toml_strict import to_toml
 from flora_lab.evaluate.plan import Plan
 from flora_lab.evaluate.trial import Trial
 from flora_lab.made_folders import read_info
-from flora_lab.outputs import is_there
 from flora_lab.stopped_work import check_same_work
 
 INFO_FILE: Final = "evaluation.toml"

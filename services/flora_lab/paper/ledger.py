@@ -10,9 +10,9 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
+from flora_common.outputs import is_there
 from flora_common.toml_strict import to_toml
 from flora_lab.made_folders import read_info
-from flora_lab.outputs import is_there
 
 FORMAT: Final = "flora-paper-1"
 STEPS_FILE: Final = "steps.toml"

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
+from flora_common.outputs import must_be_new
 from flora_lab.late import modules_of
 from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, within
-from flora_lab.outputs import must_be_new
 
 
 class Along(enum.StrEnum):

@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
+from flora_common.outputs import must_be_new
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
 from flora_lab.option_values import within
-from flora_lab.outputs import must_be_new
 from flora_lab.run_tracks import load_runs
 
 EVERY_H: Final = 6.0

@@ -16,6 +16,7 @@ import numpy as np
 
 from flora_common import files
 from flora_common.errors import BadInput, StoreError
+from flora_common.outputs import is_there
 from flora_common.vision import draw
 from flora_common.vision.picture import Picture
 from flora_lab import outputs
@@ -73,8 +74,7 @@ class Wanted:
         if not self.any:
             must_not("--every", self.every, "no --overlays, --contact or --film is asked for")
         folder = self.overlays
-        is_there = folder is not None and outputs.is_there(folder, "--overlays")
-        if folder is not None and is_there and (not folder.is_dir() or any(folder.iterdir())):
+        if folder is not None and is_there(folder, "--overlays") and (not folder.is_dir() or any(folder.iterdir())):
             raise BadInput(f"{folder}: is there already and not an empty folder; name another for the overlays")
         places = [path.absolute() for path in (track, *self.paths)]
         if len(set(places)) < len(places):

@@ -25,7 +25,7 @@ from flora_common.geometry import FloatArray
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Float32Array, Layer, Network
 from flora_common.vision.path.evidence import Evidence
-from flora_common.vision.path.sampler import arc_length, normals, places_along
+from flora_common.vision.path.sampler import arc_length, normals, places_along, values_at
 
 WEIGHTS: Final = "guide.npz"
 INPUT_PX_PER_CM: Final = 12.0
@@ -128,10 +128,8 @@ class Maps:
 
     def stem_at(self, places_px: FloatArray) -> FloatArray:
         """How likely places (..., 2) of the full picture are the stem's middle, linear between pixels, 0 outside."""
-        x, y = (np.asarray(v, dtype=np.float32) for v in np.moveaxis(self.from_px(places_px), -1, 0))
-        rows = x.reshape(len(x), -1), y.reshape(len(y), -1)
-        found = cv2.remap(self.stem.astype(np.float32), *rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        return np.asarray(found, dtype=np.float64).reshape(x.shape)
+        places = self.from_px(places_px)
+        return values_at(self.stem.astype(np.float32), places[..., 0], places[..., 1])
 
     def peaks(self) -> list[tuple[int, int]]:
         """The likeliest apices, rows and columns, likeliest first."""
@@ -267,8 +265,8 @@ def in_middle(maps: Maps, line_px: FloatArray, px_per_cm: float) -> tuple[FloatA
     count = max(2, round(float(s[-1]) / (ALONG_CM * px_per_cm)))
     at = np.linspace(0.0, float(s[-1]), count)
     places = places_along(line_px, s, at)
-    size = np.array(maps.stem.shape[::-1])
-    outside = np.flatnonzero(((maps.from_px(places) < 0.0) | (maps.from_px(places) > size - 1.0)).any(axis=1))
+    there, size = maps.from_px(places), np.array(maps.stem.shape[::-1])
+    outside = np.flatnonzero(((there < 0.0) | (there > size - 1.0)).any(axis=1))
     first = int(outside[-1]) + 1 if outside.size else 0
     if count - first < 3:
         return line_px, np.zeros(1)

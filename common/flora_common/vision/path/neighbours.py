@@ -56,8 +56,10 @@ def goes_over(line_px: FloatArray, strength: float, pieces: Iterable[Strand], ca
         line_px, strength, pieces, camera: as of :func:`another_stem`.
     """
     scale = camera.px_per_cm
-    return _steps_aside(line_px, scale) or any(
-        float(np.median(piece.strength)) > LEADS_ALIKE * strength and _is_along(line_px, piece, scale)
+    s = arc_length(line_px)
+    even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * scale))
+    return _steps_aside(even) or any(
+        float(np.median(piece.strength)) > LEADS_ALIKE * strength and _is_along(even, piece, scale)
         for piece in _rising(line_px, pieces, camera, LEADS_RISES_CM, LEADS_FOOT_CM)
     )
 
@@ -82,26 +84,23 @@ def _rising(
             yield low
 
 
-def _is_along(line_px: FloatArray, piece: Strand, px_per_cm: float) -> bool:
-    """Whether a line goes along a piece of stem, or along where it leads from its top."""
+def _is_along(even_px: FloatArray, piece: Strand, px_per_cm: float) -> bool:
+    """Whether a line, told every :data:`EVERY_CM`, goes along a piece of stem, or along where it leads from its top."""
     points = piece.points
     ahead = points[-1] - points[0]
     ahead = ahead / max(1e-9, float(np.hypot(*ahead)))
     onwards = points[-1] + np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * ahead
     places = np.concatenate([points[::2], onwards])
-    s = arc_length(line_px)
-    even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * px_per_cm))
-    away = np.hypot(*(even[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
+    away = np.hypot(*(even_px[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
     return bool(np.count_nonzero(away < ALONG_CM * px_per_cm) * EVERY_CM > ALONG_FOR_CM)
 
 
-def _steps_aside(line_px: FloatArray, px_per_cm: float) -> bool:
-    s = arc_length(line_px)
-    even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * px_per_cm))
+def _steps_aside(even_px: FloatArray) -> bool:
+    """Whether a line, told every :data:`EVERY_CM`, is turned aside over a short way and back."""
     chord, apart = round(CHORD_CM / EVERY_CM), round(STEPS_CM / EVERY_CM)
-    if len(even) < chord + 2 * apart + 1:
+    if len(even_px) < chord + 2 * apart + 1:
         return False
-    step = even[chord:] - even[:-chord]
+    step = even_px[chord:] - even_px[:-chord]
     angle = np.unwrap(np.arctan2(step[:, 0], -step[:, 1]))
     here = angle[apart:-apart]
     below, above = here - angle[: -2 * apart], here - angle[2 * apart :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -62,16 +63,29 @@ class Sampler:
         return np.clip((green + LEAF_GREENER[1] - self.green(places)) / (LEAF_GREENER[1] - LEAF_GREENER[0]), 0.0, 1.0)
 
     def _at(self, values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray) -> FloatArray:
-        if x.size == 0:
-            return np.zeros(x.shape)
-        # OpenCV takes no picture of places with more than 32767 rows or columns
-        columns = min(x.size, ROW_PX)
-        maps = np.zeros((2, -(-x.size // columns) * columns), np.float32)
-        for one, v, origin in zip(maps, (x, y), self._origin, strict=True):
-            np.subtract(v.ravel(), origin, out=one[: x.size], casting="same_kind")
-        right, down = maps.reshape(2, -1, columns)
-        found = cv2.remap(values, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        return np.asarray(found.ravel()[: x.size], dtype=np.float64).reshape(x.shape)
+        return values_at(values, x, y, self._origin)
+
+
+def values_at(
+    values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray, origin: Sequence[float] | FloatArray = (0.0, 0.0)
+) -> FloatArray:
+    """Values at places, linear between pixels and 0 outside; shape of ``x``.
+
+    Args:
+        values: shape (height, width), its first pixel at ``origin``.
+        x, y: of the places, in its pixels.
+        origin: (x, y).
+    """
+    if x.size == 0:
+        return np.zeros(x.shape)
+    # OpenCV takes no picture of places with more than 32767 rows or columns
+    columns = min(x.size, ROW_PX)
+    maps = np.zeros((2, -(-x.size // columns) * columns), np.float32)
+    for one, v, first in zip(maps, (x, y), origin, strict=True):
+        np.subtract(v.ravel(), first, out=one[: x.size], casting="same_kind")
+    right, down = maps.reshape(2, -1, columns)
+    found = cv2.remap(values, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(found.ravel()[: x.size], dtype=np.float64).reshape(x.shape)
 
 
 def normals(line: FloatArray) -> FloatArray:
