@@ -126,6 +126,15 @@ def test_what_is_too_little_to_be_told_hides_no_cause_with_plain_evidence() -> N
         assert explainer._is_outdone(stage, beside) == is_outdone
 
 
+@pytest.mark.parametrize(("runs", "is_outdone"), [(1, True), (3, True), (4, True), (9, False)])
+def test_with_more_runs_more_is_asked_of_what_has_no_name(runs: int, is_outdone: bool) -> None:
+    explainer = Explainer(list(scenes_of((80,))) * runs, known())
+    (late,) = explained("late").accepted
+    best = replace(late.tried, gain=100.0)
+    nameless = Unnamed("gain", COURSES[0], best.gain + 8.0, np.array([-0.3]))
+    assert explainer._is_outdone(Stage(late.stage.before, (best,), nameless), ()) == is_outdone
+
+
 def test_one_run_will_do() -> None:
     explanation = explained("late", (80,))
     assert names(explanation) == ("clock_offset",)
@@ -183,9 +192,9 @@ def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pyte
         explainer = Explainer(scenes_of((82,), swing=(2.4, 0.8)), known())
         stage = explainer.explain().stages[0]
         assert stage.tried[0].swing is not None
-        assert stage.has_no_name(explainer.nameless) is False
+        assert stage.has_no_name(explainer.nameless, explainer.better) is False
         # As if what is left in the hours' means spoke for it more than the swing does for itself.
-        monkeypatch.setattr("flora_lab.diagnose.explanation.BETTER", -1e6)
+        monkeypatch.setattr(explainer, "better", -1e6)
         again = explainer.explain()
     assert [one.tried.effect.name for one in again.accepted] == ["circumnutation"]
     assert again.unnamed is None

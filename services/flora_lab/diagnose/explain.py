@@ -45,6 +45,9 @@ MOST_CAUSES: Final = 3
 NAMELESS: Final = 10.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
+BETTER: Final = 4.0
+"""Nats by which it must be better than the best cause, which then is not believed; with more runs than three by as
+much more as :data:`NAMELESS` is more: causes have what is usually wrong in the law taken off, and it has not."""
 _RUNS: Final = 3
 BESIDE: Final = 0.15
 """Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
@@ -71,6 +74,7 @@ class Explainer:
         self.claim = CLAIM + doubt
         self.second_claim = SECOND + doubt
         self.nameless = more * NAMELESS + doubt
+        self.better = BETTER + (more - 1.0) * NAMELESS
         self._on_step = on_step
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
@@ -161,8 +165,8 @@ class Explainer:
         Beside causes with much evidence it may be too little to be told: then a cause is named nevertheless that has as
         much as it takes to be told without a name.
         """
-        is_told = stage.has_no_name(self._told_from(accepted))
-        return is_told or (stage.has_no_name(self.nameless) and stage.tried[0].gain < self.nameless)
+        is_told = stage.has_no_name(self._told_from(accepted), self.better)
+        return is_told or (stage.has_no_name(self.nameless, self.better) and stage.tried[0].gain < self.nameless)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -217,12 +221,12 @@ class Explainer:
                 own = replace(own, gain=own.gain + max(0.0, slower))
                 tried.insert(0 if own.gain > faster else 1, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
-        if beside is not None and found.tried[0].swing is not None and found.has_no_name(self.nameless):
+        if beside is not None and found.tried[0].swing is not None and found.has_no_name(self.nameless, self.better):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
             found = replace(found, unnamed=unnamed(*beside, self.scenes, self._answers))
         if swing is not None or before.hypothesis.causes:
             return found
-        if found.has_no_name(self.nameless):
+        if found.has_no_name(self.nameless, self.better):
             return self._again(joint, found, lambda one: one.misfit > before.misfit + 1.0)
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)

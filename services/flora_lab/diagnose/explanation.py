@@ -14,8 +14,6 @@ CLAIM: Final = 4.0
 """Nats of evidence that a cause needs beyond those that are named already; some need more where they come first, and
 the second one less."""
 SWING: Final = "circumnutation"
-BETTER: Final = 4.0
-"""Nats by which something without a name must be better than the best cause, which then is not believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +47,9 @@ class Stage:
     tried: tuple[Tried, ...]
     unnamed: Unnamed | None = None
 
-    def has_no_name(self, least: float) -> bool:
-        """Whether something that is no cause explains the runs better than any that is, by at least so many nats."""
-        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain + BETTER, least)
+    def has_no_name(self, least: float, better: float) -> bool:
+        """Whether something that is no cause has that much evidence, and is that much better than any that is; nats."""
+        return self.unnamed is not None and self.unnamed.gain > max(self.tried[0].gain + better, least)
 
 
 @dataclass(frozen=True, slots=True)
