@@ -6,6 +6,7 @@ the right one; three bytes a pixel in the order green, red, blue.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -24,6 +25,9 @@ CHANNEL_A: Final = 0.24 / 5.0 / 3.0
 each."""
 IDLE_A: Final = 0.001
 """A pixel's controller alone, dark: about 1 mA (WS2812B at 5 V, an estimate from measurements by makers)."""
+
+LEAST_BEATS: Final = 2.5
+"""For so many intervals between photographs a command holds at least, so that one lost photograph darkens nothing."""
 
 Fallback = Literal["dark", "left", "right", "both", "hold", "open-loop"]
 Rgb = tuple[int, int, int]
@@ -80,7 +84,8 @@ class Wanted:
 class Lease:
     """A command holds for ``lease_s`` of rig time from when it was given; then the fallback shines.
 
-    A setup run goes before commands while it is active.
+    Where photographs are so rare that a lamp would go out between two of them, it holds for :data:`LEAST_BEATS` of the
+    beats that are heard. A setup run goes before commands while it is active.
 
     Args:
         lease_s: rig time.
@@ -94,19 +99,28 @@ class Lease:
         self._fallback = fallback
         self._open_loop = open_loop
         self._run_zero_ns = 0
+        self._beat_at_s: float | None = None
+        self._apart_s = math.inf
         self._command: LightCommand | None = None
-        self._until_ns = 0
+        self._given_ns: int | None = None
         self._setup: Setup | None = None
 
     def command(self, command: LightCommand, now_ns: int) -> None:
         """A command was heard; its age counts from its own time, and one from the future counts from now."""
         self._command = command
-        self._until_ns = min(command.t_mono_ns, now_ns) + self._lease_ns
+        self._given_ns = min(command.t_mono_ns, now_ns)
 
     def beat(self, tick: Tick) -> None:
-        """A tick of the run was heard: it tells which time of the run it is."""
-        if tick.purpose == "run":
-            self._run_zero_ns = tick.t_mono_ns - round(tick.time_s * NS)
+        """A tick of the run was heard: it tells which time of the run it is, and the second one how often they come."""
+        if tick.purpose != "run":
+            return
+        self._run_zero_ns = tick.t_mono_ns - round(tick.time_s * NS)
+        if self._beat_at_s is None or tick.time_s <= self._beat_at_s:
+            self._apart_s = math.inf  # another run
+        else:
+            # The shortest, for one that was not heard or came late must not make commands live longer.
+            self._apart_s = min(self._apart_s, (tick.time_s - self._beat_at_s) / (1 + tick.skipped))
+        self._beat_at_s = tick.time_s
 
     def setup(self, setup: Setup | None) -> None:
         """A setup run asks for lamps; None or inactive: it is over."""
@@ -119,18 +133,23 @@ class Lease:
     @property
     def until_ns(self) -> int:
         """Rig time at which the present command's lease ends; 0 where there is none."""
-        return self._until_ns
+        return 0 if self._given_ns is None else self._given_ns + self._held_ns
+
+    @property
+    def _held_ns(self) -> int:
+        beats_s = LEAST_BEATS * self._apart_s
+        return max(self._lease_ns, round(beats_s * NS)) if math.isfinite(beats_s) else self._lease_ns
 
     def wanted(self, now_ns: int) -> Wanted:
         """What is to shine now."""
         if self._setup is not None:
             return Wanted(self._setup.lamps, self._setup.lamps, setup_step=self._setup.step)
         command = self._command
-        if command is not None and now_ns <= self._until_ns:
+        if command is not None and now_ns <= self.until_ns:
             return Wanted(command.light, command.light, tick=command.tick)
         last: Light = command.light if command else "dark"
         light = self._without_command(last, now_ns)
-        lease_s = self._lease_ns / NS
+        lease_s = self._held_ns / NS
         reason = f"no command for more than {lease_s:g} s" if command else "no command yet"
         return Wanted(light, last if command else light, command.tick if command else 0, True, 0, reason)
 

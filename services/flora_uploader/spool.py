@@ -121,6 +121,8 @@ class Spool:
             self._logs_seen[name] = stamp
 
     def _give_up_on_runs_that_are_gone(self, found: scan.RunFolders) -> None:
+        for run in found.runs:
+            self._conditions.clear(f"run {run}")  # it has come back
         for run, count in self._ledger.waiting_by_run().items():
             if run not in found.runs and run not in found.unreadable:
                 reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"

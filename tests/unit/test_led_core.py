@@ -91,6 +91,35 @@ def test_a_command_from_the_future_does_not_live_for_ever() -> None:
     assert lease.wanted(ns(911.0)).fallback
 
 
+def test_where_photographs_are_rare_a_command_holds_until_after_the_next() -> None:
+    lease = Lease(900.0, "dark")
+    for tick in (1, 2):
+        lease.beat(Tick(tick=tick, time_s=1800.0 * tick, t_mono_ns=ns(1800.0 * tick)))
+    lease.command(command("left", 3600.0, tick=2), ns(3600.0))
+    assert lease.until_ns == ns(3600.0 + 2.5 * 1800.0)
+    assert lease.wanted(ns(5400.0)).light == "left"
+    assert "4500 s" in lease.wanted(ns(9000.0)).reason
+
+
+@pytest.mark.parametrize(
+    "beats",
+    [
+        [(1, 300.0, 0), (2, 600.0, 0), (9, 2700.0, 0)],  # six were not heard
+        [(1, 300.0, 0), (9, 2700.0, 7)],  # seven were left out
+        [(1, 0.0, 0), (2, 3600.0, 0), (3, 0.0, 0), (4, 300.0, 0)],  # a run before had one an hour
+        [(1, 0.0, 0), (2, 3600.0, 0), (3, 0.0, 0)],
+    ],
+)
+def test_beats_that_were_not_heard_or_are_of_another_run_make_no_lease_longer(
+    beats: list[tuple[int, float, int]],
+) -> None:
+    lease = Lease(900.0, "dark")
+    for tick, time_s, skipped in beats:
+        lease.beat(Tick(tick=tick, time_s=time_s, skipped=skipped, t_mono_ns=ns(tick * 1.0)))
+    lease.command(command("left", 50.0), ns(50.0))
+    assert lease.until_ns == ns(950.0)
+
+
 def test_a_setup_run_goes_before_commands() -> None:
     lease = Lease(900.0, "dark")
     lease.command(command("left", 0.0, tick=4), 0)

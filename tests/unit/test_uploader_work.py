@@ -337,6 +337,7 @@ def test_a_run_folder_that_goes_away_with_waiting_files_is_told(bench: Bench) ->
     (bench.root / "elsewhere").rename(older)
     bench.work(3700.0)
     assert bench.there("frames/1.jpg", "older") == b"x"
+    assert "is gone" not in bench.uploader.conditions.sentence()
 
 
 class BadSectors:
