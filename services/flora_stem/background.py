@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from flora_common.errors import BadInput, StoreError
+from flora_common.errors import BadInput, BadRunFolder, StoreError
 from flora_common.messages import Frame
 from flora_common.runs import CameraSection, Light, RunFolder
 from flora_common.vision import lamp_states
@@ -67,6 +67,7 @@ class Background:
             seen.append((path.name, status.st_size, status.st_mtime_ns))
         if seen == self._seen:
             return not paths and self._learnt()
+        is_first = self._seen is None
         self._seen = seen
         self.finder, self.reason, self.pictures, self.made_by, self.from_cache = None, "", 0, "", False
         if paths:
@@ -75,6 +76,8 @@ class Background:
                 self.pictures, self.made_by = len(paths), "background"
             except BadInput as problem:
                 self.reason = str(problem)
+        elif is_first and self._method == "path":
+            self._learner.look_back()
         else:
             self._learnt()
         return True
@@ -122,29 +125,50 @@ class Background:
 
 
 class _Learner:
-    """Learns lamp states from the run's own frames, in a thread: it takes seconds, and the service must go on."""
+    """Learns lamp states from the run's own frames, in a thread: it takes seconds, and the service must go on.
+
+    A service that starts in the middle of a run learns from the frames that are there, as it had before.
+    """
 
     def __init__(self, run: RunFolder, camera: CameraSection, section: StemSection) -> None:
         self._run, self._camera, self._section = run, camera, section
-        self._frames: dict[Light, list[str]] = defaultdict(list)
+        self._frames: dict[Light, dict[str, None]] = defaultdict(dict)
+        self._learnt_from: dict[Light, int] = {}
         self._states: dict[Light, LampState] = {}
         self._pool: ThreadPoolExecutor | None = None
         self._work: tuple[Light, Future[LampState]] | None = None
         self.waiting_for = ""
 
+    def look_back(self) -> None:
+        """Take the frames of before this start that are still on the disk."""
+        with contextlib.suppress(BadRunFolder):  # no table yet, or flora-capture has to mend its end
+            for row in self._run.read_frames():
+                if (self._run.path / row.file).is_file():
+                    self._frames[row.light][row.file] = None
+        self._go_on()
+
     def saw(self, frame: Frame) -> None:
-        files = self._frames[frame.light]
-        files.append(frame.path)
+        self._frames[frame.light][frame.path] = None
         if not self._states:
             most = max(len(v) for v in self._frames.values())
             self.waiting_for = (
                 f"{NO_BACKGROUND}; or wait: the empty setup is learnt from {LEARN_AT[0]} frames with one lamp, "
                 f"{most} are there"
             )
-        if self._work is None and len(files) in LEARN_AT:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(1, "learn")
-            self._work = (frame.light, self._pool.submit(self._learn, list(files)))
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Begin with a lamp whose frames have become enough to learn from, or to learn more."""
+        if self._work is not None:
+            return
+        for light, seen in self._frames.items():
+            enough = max((count for count in LEARN_AT if count <= len(seen)), default=0)
+            if enough > self._learnt_from.get(light, 0):
+                self._learnt_from[light] = enough
+                if self._pool is None:
+                    self._pool = ThreadPoolExecutor(1, "learn")
+                self._work = (light, self._pool.submit(self._learn, list(seen)[:enough]))
+                return
 
     def result(self) -> EmptySetup | None:
         """All states that are known, where one has become known since the last call."""
@@ -152,6 +176,7 @@ class _Learner:
             return None
         light, work = self._work
         self._work = None
+        self._go_on()
         self._states[light] = work.result()
         return EmptySetup(list(self._states.values()), "frames")
 

@@ -77,6 +77,13 @@ def calibrated(box: Box) -> None:
     box.look()
 
 
+def wait_until_learnt(box: Box) -> None:
+    give_up_s = time.monotonic() + 30.0
+    while not box.background.refresh():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.01)  # another thread learns; nothing tells when it is done
+
+
 def test_stem_and_uncertainty_are_said_and_written(box: PathBox) -> None:
     calibrated(box)
     stem = answer(box, 1, plant(3.0, 12.0, 1))
@@ -134,12 +141,27 @@ def test_without_background_pictures_the_setup_is_learnt_from_the_frames(tmp_pat
         box.core.use(box.background.finder, box.background.reason)
     assert {s.outcome for s in said} == {"no_stem"}
     assert "11 are there" in said[-1].reason
-    give_up_s = time.monotonic() + 30.0
-    while not box.background.refresh():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.01)  # another thread learns; nothing tells when it is done
+    wait_until_learnt(box)
     assert (box.background.made_by, box.background.pictures) == ("frames", LEARN_AT[0])
     box.core.use(box.background.finder, box.background.reason)
     stem = answer(box, LEARN_AT[0] + 1, plant(-4.8, 11.4, 50, leaves=False))
     assert stem.outcome == "ok"
     assert np.hypot(stem.points_cm[-1][0] + 4.8, stem.points_cm[-1][1] - 11.4) < 0.4
+
+
+def test_a_start_in_the_middle_of_a_run_learns_from_the_frames_that_are_there(tmp_path: Path) -> None:
+    box = PathBox(tmp_path)
+    for tick in range(1, 2 * LEARN_AT[0] + 3):
+        picture = plant(4.0 - 0.35 * tick, 10.0 + 0.1 * tick, tick, leaves=False)
+        frame = box.frame(tick, jpeg(picture), light="left" if tick % 2 else "right")
+        box.run.append_frame(frame.path, frame.time_s, frame.light)
+    for stored in (1, 2):  # at the NAS, and freed here
+        (box.run.path / f"frames/{stored:06d}.jpg").unlink()
+    box.start()
+    learnt_from = []
+    for _ in ("left", "right"):  # one after the other
+        wait_until_learnt(box)
+        learnt_from.append(box.background.pictures)
+    assert learnt_from == [LEARN_AT[0], 2 * LEARN_AT[0]]
+    box.core.use(box.background.finder, box.background.reason)
+    assert answer(box, 50, plant(-4.8, 12.4, 50, leaves=False)).outcome == "ok"
