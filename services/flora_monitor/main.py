@@ -20,6 +20,7 @@ from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
 from flora_common.errors import BadInput
 from flora_common.health import HealthBoard
+from flora_common.outputs import can_be_made
 from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
 from flora_monitor import show, tape
@@ -234,6 +235,7 @@ def record(
     """Record what comes to FILE; it is called FILE.open until the end."""
     if file.suffix != ".mcap":
         raise BadInput(f"{file}: a recording's name ends in .mcap")
+    can_be_made(file, "FILE")
     common = common_options(config, rig, publish, subscribe, as_json=False)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     clock = SystemClock()

@@ -337,6 +337,7 @@ def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -
         (["topics", "[]"], "`[` without `]`"),
         (["health", "flora-[fl"], "`[` without `]`"),
         (["record", "a.mcap", "[t]*["], "`[` without `]`"),
+        (["record", "/dev/null/a.mcap"], "/dev/null/a.mcap: cannot be written, /dev/null is no folder; name another"),
         (["replay", "a.mcap", "--only", "["], "`[` without `]`"),
         (["replay", "a.mcap", "--as-fast", "--rate", "2"], "give either --as-fast or --rate"),
         (["check"], "check --help"),
