@@ -24,9 +24,11 @@ h1 { font-size: 1.6rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2.
 .figures b { display: block; font-size: 1.5rem; line-height: 1.2; } .figures span { color: #55605a; font-size: .85rem; }
 img, svg { max-width: 100%; height: auto; display: block; }
 figcaption { color: #55605a; font-size: .9rem; margin: .3rem 0 0; } figure { margin: 0; }
+.figures.threes { grid-template-columns: repeat(3, 1fr); }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; } td, th { padding: .25rem 1.2rem .25rem 0; text-align: left; vertical-align: top; }
 th { font-weight: 500; color: #55605a; } td { overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }
+.wide td { overflow-wrap: normal; } .wide table { font-size: .9rem; } .wide td, .wide th { padding-right: .8rem; }
 """
 
 
@@ -68,10 +70,10 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
-def tiles(figures: Sequence[tuple[str, str]]) -> str:
-    """Large figures with what they are: (figure, words)."""
+def tiles(figures: Sequence[tuple[str, str]], *, threes: bool = False) -> str:
+    """Large figures with what they are: (figure, words); as many in a row as there is room for, or three."""
     inner = "".join(f"<div><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in figures)
-    return f'<div class="figures">{inner}</div>'
+    return f'<div class="figures{" threes" if threes else ""}">{inner}</div>'
 
 
 def pairs(rows: Sequence[tuple[str, str]]) -> str:

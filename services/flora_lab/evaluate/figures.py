@@ -23,7 +23,7 @@ def tracks_figure(one: Evaluation) -> bytes:
     """A panel for each controller in each scenario; of very many the first. PNG bytes."""
     panels = list(dict.fromkeys((row.controller, row.scenario) for row in one.rows))
     shown = panels[:MOST_PANELS]
-    window = window_of(one.plan.task, [trial.stems_cm[-1] for trial in one.trials])
+    window = window_of(one.plan.task, [drawn for t in one.trials for drawn in (t.stems_cm[-1], t.stems_cm[:, -1])])
     columns = min(COLUMNS, len(shown))
     high = -(-len(shown) // columns)
     tall_in = PANEL_WIDE_IN * min(window.shape, 2.0) + 0.5

@@ -47,7 +47,7 @@ def page(results: Results, compared: Sequence[Row], pictures: Sequence[Picture])
     lead = f"Wahby et al. 2018, and what this project comes to. {asked} {scale.lead}"
     body = [
         html_page.heading("A robot to shape your natural plant: the paper's figures and numbers beside ours", lead),
-        html_page.tiles(_tiles(results)),
+        html_page.tiles(_tiles(results), threes=True),
         html_page.paragraph(
             "All plants here are virtual. The third column is the paper's recipe: its training set, its LSTM, its "
             "evolution. The fourth is ours: a simulator that learns the law of a growing stem from the same plants, "
