@@ -19,6 +19,7 @@ from flora_common.files import sha256_of_file
 from flora_common.lock import hold
 from flora_common.tracks import read_track
 from flora_lab.evaluate import on_twin
+from flora_lab.evaluate.figures import tracks_figure
 from flora_lab.evaluate.gap import REAL_PLANTS
 from flora_lab.evolve.task import LEFT
 from flora_lab.main import main
@@ -168,6 +169,24 @@ def test_the_folder_holds_figures_page_and_tracks(
     before = (out / "report.html").read_bytes()
     told(capsys, TIP_ONLY, "--on", simulator, "--task", short, "--repeat", "1", "-o", out)
     assert (out / "report.html").read_bytes() == before
+
+
+def test_no_tips_way_leaves_the_picture(
+    simulator: Path, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged, drawn = [], []
+    monkeypatch.setattr("flora_lab.evaluate.page.tracks_figure", lambda one: judged.append(one) or b"")
+    monkeypatch.setattr("flora_lab.evaluate.figures.png", lambda figure: drawn.append(figure) or b"")
+    told(capsys, TIP_ONLY, "--on", simulator, "--task", short, "--repeat", "0", "-o", tmp_path / "out")
+    (one,) = judged
+    for trial in one.trials:
+        trial.stems_cm[len(trial.stems_cm) // 2, -1] = (-19.0, 12.0)  # far to the left on its way
+    tracks_figure(one)
+    for ax in drawn[0].axes[: len(one.trials)]:
+        for line in ax.lines:
+            for values, (low, high) in zip(line.get_data(), (ax.get_xlim(), ax.get_ylim()), strict=True):
+                assert all(low <= value <= high for value in values)
+        assert ax.get_xlim()[0] < -19.0
 
 
 def check_page(path: Path, *words: str) -> str:
