@@ -41,8 +41,8 @@ class LedSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     colours are scaled down to it."""
 
     lease_s: Annotated[float, msgspec.Meta(gt=0.0, le=604_800.0)] = 900.0
-    """Seconds of rig time for which a command holds; once two photographs were asked for, two and a half of the intervals
-    between them at least."""
+    """Seconds of rig time for which a command holds; not less than two and a half times the time between photographs,
+    once two were asked for."""
 
     fallback: Fallback = "dark"
     """What shines before the first command and when the lease of the last one is over; ``hold`` keeps its light."""
