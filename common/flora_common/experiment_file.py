@@ -135,7 +135,7 @@ def read_experiment(folder: Path) -> ExperimentFile:
         outcome = msgspec.json.decode(path.read_bytes(), type=ExperimentFile)
     except OSError as problem:
         raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
+    except (ValueError, RecursionError) as problem:
         raise BadInput(f"{path}: not the outcome of an experiment: {problem}") from problem
     inner = Path(outcome.run)
     if inner.is_absolute() or ".." in inner.parts:

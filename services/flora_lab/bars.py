@@ -61,7 +61,7 @@ def read_told(path: Path) -> Told | None:
     """What a command told last; None where it has told nothing that can be read."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Told)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, ValueError, RecursionError):
         return None
 
 

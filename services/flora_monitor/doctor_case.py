@@ -139,7 +139,7 @@ class Case:
             raise Wrong(done.reason)
         try:
             return msgspec.json.decode(done.out.splitlines()[-1])
-        except (msgspec.DecodeError, IndexError) as problem:
+        except (ValueError, RecursionError, IndexError) as problem:
             raise NotLookedAt(f"the answer cannot be read: {done.out[-200:]!r}") from problem
 
 

@@ -13,7 +13,7 @@ from flora_common import files
 from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.messages import Job
 from flora_lab.jobs import rules
-from flora_lab.jobs.book import BOOK_FILE, MOST_KEPT, MOST_WAITING, Book, Entry
+from flora_lab.jobs.book import BOOK_FILE, MOST_KEPT, MOST_KILLED, MOST_WAITING, Book, Entry
 from flora_lab.main import build_app
 
 NOW = "2026-11-25T08:00:00Z"
@@ -168,9 +168,45 @@ def test_without_room_a_job_is_not_taken(tmp_path: Path, monkeypatch: pytest.Mon
     assert book.jobs == []
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"jobs": [{"job": 1}]}'])
-def test_a_book_that_is_none_is_told_in_a_line(tmp_path: Path, text: str) -> None:
-    (tmp_path / BOOK_FILE).write_text(text)
+def test_a_job_for_whose_beginning_there_is_no_room_waits_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise DiskFull("no room")
+
+    book = Book(tmp_path)
+    entry = book.ask(job(1), NOW)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_bytes", full)
+        with pytest.raises(DiskFull):
+            book.begins(entry, NOW)
+    assert book.next() is entry
+    book.begins(entry, NOW)
+    assert (entry.stage, entry.attempts) == ("working", 1)
+
+
+def test_a_job_that_kills_the_lab_is_not_begun_for_ever_and_one_that_it_outlives_is(tmp_path: Path) -> None:
+    Book(tmp_path).ask(job(1), NOW)
+    for _ in range(5):  # a lab that is stopped says so
+        book = Book(tmp_path)
+        entry = book.next()
+        assert entry is not None
+        book.begins(entry, NOW)
+        book.begins_later(entry)
+    for _ in range(MOST_KILLED):
+        book = Book(tmp_path)
+        entry = book.next()
+        assert entry is not None
+        book.begins(entry, NOW)
+    book = Book(tmp_path)
+    assert book.next() is None
+    told = book.progress(book.jobs[0])
+    assert (told.stage, "killed 3 times" in told.text) == ("failed", True)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"[]", b"{", b'{"jobs": [{"job": 1}]}', b'{"jobs": [{"job": "\xff"}]}', b"[" * 9999]
+)
+def test_a_book_that_is_none_is_told_in_a_line(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / BOOK_FILE).write_bytes(data)
     with pytest.raises(StoreError, match=re.escape(BOOK_FILE)):
         Book(tmp_path)
 

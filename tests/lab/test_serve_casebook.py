@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from flora_common.errors import StoreError
+from flora_common import files
+from flora_common.errors import DiskFull, StoreError
 from flora_common.runs import CameraSection, RunFile, run_file_text
 from flora_lab.serve.casebook import AGAIN_S, Casebook
 from flora_lab.serve.child import Ended
@@ -102,6 +103,34 @@ def test_folders_that_are_no_runs_are_passed_over(tmp_path: Path, runs: Path) ->
     (runs / "file").write_text("")
     assert scan(opened(tmp_path), runs) == 0
     assert scan(opened(tmp_path), tmp_path / "not mounted") == 0
+
+
+def test_a_run_that_may_not_be_read_is_told_and_hides_no_other(tmp_path: Path, runs: Path) -> None:
+    for name in ("a-run", "b-private", "c-run"):
+        add_run(runs, name)
+    (runs / "b-private" / "track.csv").unlink()
+    (runs / "b-private" / "track.csv").mkdir()  # for root, too, no file that can be read
+    unreadable: list[str] = []
+    found = finished("box1", runs, NOBODY, PATIENCE, 2 * NOW_S, lambda *_: False, on_unreadable=unreadable.append)
+    assert [entry.run for entry in found] == ["a-run", "c-run"]
+    assert unreadable == [f"{runs / 'b-private'}: cannot be read (Is a directory)"]
+
+
+def test_a_disk_that_was_full_for_a_while_costs_no_attempt(
+    tmp_path: Path, runs: Path, simulator: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise DiskFull("no room")
+
+    add_run(runs, "bean-07")
+    book = opened(tmp_path)
+    scan(book, runs)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_bytes", full)
+        for _ in range(MOST_ATTEMPTS + 1):
+            with pytest.raises(DiskFull):
+                begun(book, simulator)
+    assert begun(book, simulator).attempts == 1
 
 
 def test_a_run_is_diagnosed_once_and_told_once_whatever_is_killed(tmp_path: Path, runs: Path, simulator: Path) -> None:

@@ -161,7 +161,7 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
             return msgspec.json.decode(path.read_bytes(), type=Worked)
         except FileNotFoundError:
             return Worked()
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
+        except (OSError, ValueError, RecursionError) as problem:
             raise BadInput(f"{path}: cannot be read; remove it, and time counts from now on") from problem
 
     def _read_work(self) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def opened(data: bytes, form: str, kind: type[T], what: str) -> T:
     """
     try:
         file = msgspec.json.decode(data, type=_File)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
+    except (ValueError, RecursionError) as problem:
         raise BadInput(f"is damaged or no {what} ({str(problem)[:100]})") from problem
     if file.format != form:
         raise BadInput(f"has the format `{file.format[:30]}`; this program reads `{form}`")
@@ -51,5 +51,5 @@ def opened(data: bytes, form: str, kind: type[T], what: str) -> T:
         raise BadInput("is damaged: its content does not fit its SHA-256")
     try:
         return msgspec.json.decode(file.content, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
+    except (ValueError, RecursionError) as problem:
         raise BadInput(f"is no {what} ({str(problem)[:100]})") from problem

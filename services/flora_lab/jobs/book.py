@@ -17,6 +17,8 @@ BOOK_FILE: Final = "jobs.json"
 MOST_WAITING: Final = 100
 MOST_KEPT: Final = 200
 """Jobs that are over; older ones are forgotten."""
+MOST_KILLED: Final = 3
+"""So often a lab may be killed while it is at work on a job, which then has failed: it may be what kills it."""
 _MOST_TEXT: Final = 500
 
 
@@ -31,6 +33,7 @@ class Entry(msgspec.Struct):
         attempts: how often it was begun; a lab that is stopped begins it again.
         asked, began, ended: UTC, empty before.
         took_s: of the last attempt.
+        killed: how often the lab was killed while it was at work.
     """
 
     job: str
@@ -43,6 +46,7 @@ class Entry(msgspec.Struct):
     began: str = ""
     ended: str = ""
     took_s: float = 0.0
+    killed: int = 0
 
     @property
     def is_over(self) -> bool:
@@ -75,11 +79,14 @@ class Book:
         if self.path.exists():
             try:
                 self.jobs = msgspec.json.decode(self.path.read_bytes(), type=_File).jobs
-            except msgspec.DecodeError as problem:
+            except (ValueError, RecursionError) as problem:
                 raise StoreError(f"{self.path}: not the jobs of a lab ({problem}); move it away") from problem
         for entry in self.jobs:
-            if entry.stage == "working":
-                entry.stage = "waiting"  # whoever worked at it is gone
+            if entry.stage == "working":  # whoever worked at it is gone
+                entry.killed += 1
+                entry.stage = "waiting" if entry.killed < MOST_KILLED else "failed"
+                if entry.is_over:
+                    entry.text = f"the lab was killed {entry.killed} times while it was at work; has it enough memory?"
 
     def ask(self, asked: Job, utc: str) -> Entry:
         """A job that somebody asks for: as it is, if it is known; else it waits, or is refused.
@@ -118,10 +125,19 @@ class Book:
         return next((one for one in self.jobs if one.stage == "waiting"), None)
 
     def begins(self, entry: Entry, utc: str) -> None:
-        """It is worked at from now on."""
+        """It is worked at from now on.
+
+        Raises:
+            DiskFull: no room to note it: it waits on.
+        """
         entry.stage, entry.began, entry.ended, entry.text = "working", utc, "", ""
         entry.attempts += 1
-        self.save()
+        try:
+            self.save()
+        except BaseException:
+            entry.stage = "waiting"
+            entry.attempts -= 1
+            raise
 
     def begins_later(self, entry: Entry) -> None:
         """The lab ends before it: it waits, at its place."""

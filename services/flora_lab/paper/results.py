@@ -159,7 +159,7 @@ def _reality(folder: Path) -> Reality:
         found: Any = msgspec.json.decode(path.read_bytes(), type=EvaluationFile)
     except OSError as problem:
         raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
-    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+    except (ValueError, RecursionError) as problem:
         raise BadInput(f"{path}: is damaged ({str(problem)[:100]})") from problem
     typical = {trial.place: trial for trial in found.trials if trial.plant == TYPICAL}
     names = {side: SIMULATORS[side].removesuffix(SUFFIX) for side in SIDES}

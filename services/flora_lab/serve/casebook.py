@@ -85,7 +85,11 @@ class Casebook:
             DiskFull: no room; it must not begin.
         """
         entry.attempts += 1
-        self.ledger.save()
+        try:
+            self.ledger.save()
+        except BaseException:
+            entry.attempts -= 1
+            raise
 
     def given_up(self, entry: Entry) -> None:
         """It was ended because the service ends: that is no failure of its own.

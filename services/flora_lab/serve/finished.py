@@ -53,6 +53,7 @@ def finished(
     is_known: Callable[[str, str, int, int], bool],
     *,
     is_settled: bool = False,
+    on_unreadable: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Entry]:
     """Runs that have ended and are not known yet, by name.
 
@@ -64,29 +65,37 @@ def finished(
         now_s: Unix time.
         is_known: see :meth:`flora_lab.serve.ledger.Ledger.knows`.
         is_settled: whether tracks in this folder are written when their run has ended, so that nothing is waited for.
+        on_unreadable: told of a run that cannot be read, and why; the others are found.
+
+    Raises:
+        OSError: the folder itself cannot be read.
     """
     if not folder.is_dir():
         return
     for path in sorted(folder.iterdir()):
-        track = path / "track.csv"
-        if not _NAME.fullmatch(path.name) or not track.is_file():
-            continue
-        status = track.stat()
-        if is_known(rig, path.name, status.st_size, status.st_mtime_ns):
+        if not _NAME.fullmatch(path.name):
             continue
         is_own = path.name == lasting.run
         if is_own and patience.lasts(lasting):
             continue
         wait_s = patience.settled_when_told_s if is_own and lasting.is_over else patience.settled_s
-        if not is_settled and now_s - status.st_mtime < wait_s:
-            continue
-        sha256 = files.sha256_of_file(track)
-        yield Entry(rig, path.name, _plant(path), str(path), sha256, status.st_size, status.st_mtime_ns)
+        track = RunFolder(path).track_csv
+        try:
+            status = track.stat()
+            is_waited_for = not is_settled and now_s - status.st_mtime < wait_s
+            if is_waited_for or is_known(rig, path.name, status.st_size, status.st_mtime_ns):
+                continue
+            sha256 = files.sha256_of_file(track)
+            yield Entry(rig, path.name, _plant(path), str(path), sha256, status.st_size, status.st_mtime_ns)
+        except (FileNotFoundError, NotADirectoryError):
+            continue  # no run, or one whose stems nobody found
+        except OSError as problem:
+            on_unreadable(f"{path}: cannot be read ({problem.strerror})")
 
 
 def _plant(path: Path) -> str:
     folder = RunFolder(path)
     try:
         return folder.read_run_file().plant.strip() or path.name
-    except BadInput:
+    except (BadInput, PermissionError):
         return path.name  # what is wrong with the run file the diagnosis says

@@ -135,6 +135,6 @@ def _read(path: Path) -> list[Row]:
         return []
     rows = []
     for line in path.read_bytes().splitlines():
-        with contextlib.suppress(msgspec.DecodeError):
+        with contextlib.suppress(ValueError, RecursionError):
             rows.append(msgspec.json.decode(line, type=Row))
     return rows

@@ -80,7 +80,7 @@ class Ledger:
         if self.path.exists():
             try:
                 self.entries = msgspec.json.decode(self.path.read_bytes(), type=_File).entries
-            except msgspec.DecodeError as problem:
+            except (ValueError, RecursionError) as problem:
                 raise StoreError(f"{self.path}: not a ledger of flora-lab ({problem}); move it away") from problem
 
     def save(self) -> None:
@@ -143,7 +143,7 @@ def done(entry: Entry, diagnosis: bytes, folder: Path) -> None:
     """
     try:
         found = msgspec.json.decode(diagnosis, type=_Diagnosis)
-    except msgspec.DecodeError as problem:
+    except (ValueError, RecursionError) as problem:
         raise BadInput(f"{folder}: its diagnosis.json is none ({problem})") from problem
     entry.stage, entry.reason, entry.folder = "done", "", str(folder)
     entry.verdict, entry.summary = found.verdict, found.summary

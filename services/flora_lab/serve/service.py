@@ -79,7 +79,7 @@ class Rig:
         """Where they hang, if the run folder is there already."""
         try:
             return RunFolder(self.runs_dir / run).read_run_file().lamps
-        except BadInput:
+        except (BadInput, PermissionError):
             return None
 
 
@@ -176,11 +176,20 @@ class Service:
                 if rig.is_without_runs_dir and not self._patience.lasts(rig.lasting):
                     rig.watch.finish()
                 knows = self._casebook.ledger.knows
-                own = rig.is_without_runs_dir
-                self._casebook.add(
-                    finished(rig.name, rig.runs_dir, rig.lasting, self._patience, time.time(), knows, is_settled=own)
+                unreadable: list[str] = []
+                found = finished(
+                    rig.name,
+                    rig.runs_dir,
+                    rig.lasting,
+                    self._patience,
+                    time.time(),
+                    knows,
+                    is_settled=rig.is_without_runs_dir,
+                    on_unreadable=unreadable.append,
                 )
-                self._app.trouble(f"runs {rig.name}", "")
+                self._casebook.add(found)
+                more = f" (and {len(unreadable) - 1} more such)" if len(unreadable) > 1 else ""
+                self._app.trouble(f"runs {rig.name}", unreadable[0] + more if unreadable else "")
             except OSError as problem:
                 self._app.trouble(f"runs {rig.name}", f"{rig.runs_dir}: cannot be read ({problem.strerror})")
         self._begin()

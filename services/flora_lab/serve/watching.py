@@ -242,7 +242,7 @@ class Watch:
 
 def _read(path: Path) -> _Kept:
     """What was kept; nothing where another version of flora wrote it, so that the run is looked at from its start."""
-    with contextlib.suppress(FileNotFoundError, msgspec.DecodeError):
+    with contextlib.suppress(FileNotFoundError, ValueError, RecursionError):
         return msgspec.json.decode(path.read_bytes(), type=_Kept)
     return _Kept()
 

@@ -109,7 +109,7 @@ class PartFile:
         for expected, line in zip(indices, self._file, strict=False):
             try:
                 stored = decoder.decode(line)
-            except msgspec.DecodeError:
+            except (ValueError, RecursionError):
                 break
             if stored.index != expected or not line.endswith(b"\n"):
                 break
