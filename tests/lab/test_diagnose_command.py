@@ -22,6 +22,8 @@ import tomli_w
 from diagnose_runs import CHANCE, change_of, run_of, turns, write_run
 from html_reader import Reader
 
+from flora_common.runs import TRACK_HEADER
+from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose import folder, work
 from flora_lab.diagnose.diagnosis import Diagnosis
 from flora_lab.main import main
@@ -293,6 +295,14 @@ def no_track_at_all(folder: Path) -> Path:
     return path
 
 
+def frozen(folder: Path) -> Path:
+    folder.mkdir()
+    path = folder / "frozen.csv"
+    points = ",".join(f"0.0000,{y:.4f}" for y in np.linspace(0.0, 8.0, STEM_POINTS))
+    path.write_text("".join([TRACK_HEADER + "\n", *(f"{300 * row},left,{points}\n" for row in range(100))]))
+    return path
+
+
 def missing(folder: Path) -> Path:
     return folder / "gone.csv"
 
@@ -303,6 +313,7 @@ MEASURED: list[tuple[Callable[[Path], Path], str]] = [
     (not_numbers, "plant21.csv line 41: "),
     (no_track_at_all, "notes.csv"),
     (missing, "gone.csv: no such run or track"),
+    (frozen, "frozen.csv: no hour of it has enough photographs of a stem that moves; leave it out"),
 ]
 
 

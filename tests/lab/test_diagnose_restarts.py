@@ -12,7 +12,7 @@ from diagnose_runs import LAMPS, LAW, TYPICAL, Array, known, run_of, turns, writ
 from flora_lab.diagnose import verdict
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.record import without
-from flora_lab.diagnose.restarts import LEAST_H, restarts_of, short_gaps
+from flora_lab.diagnose.restarts import LEAST_H, lost_from, restarts_of, short_gaps
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import load_run
@@ -72,6 +72,23 @@ def test_lamps_that_change_often_may_have_changed_twice_in_a_gap(tmp_path: Path)
 def test_a_run_that_has_no_sound_stem_after_a_gap_ends_there(tmp_path: Path) -> None:
     run = with_gap(quiet(turns(24.0, 6.0)), tmp_path, (17.0, 23.9))
     assert restarts_of(run, len(run) - 1, EVERY) == []
+    assert lost_from(run, []) == 17 * PER_H + 1
+    assert not Scene(run, LAW).is_seen[17 * PER_H + 1 :].any()
+
+
+@pytest.mark.parametrize("kept", [slice(0, None, 2), slice(1, None, 2), slice(2, None, 4)])
+def test_photographs_more_seldom_after_a_gap_tell_where_the_plant_stands(tmp_path: Path, kept: slice) -> None:
+    """No three in a row are there: a rig that went on with another interval, or a stem that is found now and then."""
+    whole = quiet(turns(24.0, 6.0))
+    hidden = np.zeros(len(whole), dtype=np.bool_)
+    hidden[13 * PER_H + 1 :] = True
+    hidden[13 * PER_H + 1 :][kept] = False
+    run = with_gap(without(whole, hidden), tmp_path, (10.0, 13.5))
+    (again,) = restarts_of(run, len(run) - 1, EVERY)
+    near = np.flatnonzero(run.is_measured)
+    assert np.abs(near - again.step).min() <= 1
+    assert again.stem_cm == pytest.approx(whole.points_cm[again.step], abs=0.15)
+    assert lost_from(run, [again]) == len(run)
 
 
 def test_what_follows_a_gap_is_compared_with_the_stem_that_was_there(tmp_path: Path) -> None:

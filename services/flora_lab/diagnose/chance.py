@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.rhythm import Swing
-from flora_lab.diagnose.scene import FEATURES, Answers, Scene
+from flora_lab.diagnose.scene import FEATURES, WINDOW_H, Answers, Scene
+from flora_lab.simulator.measured import STEP_S
 
 Array = npt.NDArray[Any]
 
@@ -77,6 +78,8 @@ PARTS: Final = (
 )
 MEASURED: Final = ("measure", "lean", "bow")
 """Errors of the measurement: of each point by itself, or of the stem as a whole, that leans or is bent too much."""
+_ROWS: Final = WINDOW_H * 3600.0 / STEP_S
+"""Photographs that an hour's mean is of, where one is taken every five minutes: so the size of their errors is told."""
 _SWING_MARGIN: Final = 1.3
 _SWING_LEFT: Final = 0.05
 
@@ -94,7 +97,10 @@ def covariances(scene: Scene, answers: Answers) -> Array:
     for i, part in enumerate(PARTS):
         if part.drive in MEASURED:
             lag_h = np.abs(row_h[:, None] - row_h[None, :])
-            found[i] = _alike(scene, part.drive) * (np.exp(-lag_h / part.memory_h) if part.memory_h else lag_h == 0.0)
+            if part.memory_h:
+                found[i] = _alike(scene, part.drive) * np.exp(-lag_h / part.memory_h)
+            else:  # each photograph's own: the fewer a mean is of, the more is left of it
+                found[i] = _alike(scene, part.drive) * (lag_h == 0.0) * (_ROWS / scene.rows)
             continue
         if part.drive == GAPS:
             found[i] = answers.to_gaps @ answers.to_gaps.T

@@ -15,7 +15,9 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 _ROWS: Final = 3
-"""The curve is laid through the mean of so many."""
+"""The curve is laid through the mean of so many at most."""
+_ROWS_S: Final = 600.0
+"""They lie within so many seconds: later ones tell another stem."""
 _NOISE_ROWS: Final = 13
 """So many tell how much points differ from row to row."""
 _LEAST_CM: Final = 0.005
@@ -26,15 +28,16 @@ _NORMAL: Final = 1.4826
 """Standard deviation over the median of what is away from the middle, of a normal distribution."""
 
 
-def first_stem(points_cm: Array) -> Array:
+def first_stem(points_cm: Array, step_s: float) -> Array:
     """The stem at the start of a run, shape (10, 2), its foot at the anchor.
 
     Args:
         points_cm: measured stems, shape (rows, 10, 2), the first one seen.
+        step_s: between them.
     """
-    told = np.nanmean(points_cm[:_ROWS], axis=0)
-    seen = np.isfinite(points_cm[:_ROWS, -1, 0]).sum()
-    noise_cm = _noise_cm(points_cm[:_NOISE_ROWS]) / np.sqrt(seen)
+    first = points_cm[: min(_ROWS, 1 + int(_ROWS_S // step_s))]
+    told = np.nanmean(first, axis=0)
+    noise_cm = _noise_cm(points_cm[:_NOISE_ROWS]) / np.sqrt(np.isfinite(first[:, -1, 0]).sum())
     return np.stack([_plainest(told[:, axis], noise_cm[axis]) for axis in range(2)], axis=1)
 
 

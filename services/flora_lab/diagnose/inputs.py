@@ -57,7 +57,8 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
     """Runs, cleaned and in equal steps.
 
     Raises:
-        BadInput: see :func:`flora_lab.run_tracks.load_runs`; or a run that is too short to tell anything.
+        BadInput: see :func:`flora_lab.run_tracks.load_runs`; or a run that is too short, or has too few stems, to tell
+            anything.
     """
     tracks = load_runs(paths)
     if all(track.lamps is None for track in tracks) and tracks:
@@ -71,6 +72,9 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
         run, found = record.cleaned(in_steps(track, _step_s(track)))
         if run.hours < SHORTEST_H:
             raise BadInput(f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed")
+        pairs = run.is_measured[1:] & run.is_measured[:-1]
+        if not pairs.any() or not Scene(run, ExtendedLaw(run.lamps or LampsSection())).size:
+            raise BadInput(f"{track.file}: no hour of it has enough photographs of a stem that moves; leave it out")
         measured.append(run)
         notes += found
     return Runs(tuple(tracks), tuple(measured), tuple(notes))

@@ -30,7 +30,8 @@ class Restart:
     """A stem taken from the record in the middle of a run.
 
     Attributes:
-        step: from which on the run is simulated anew; its row was measured, and those on both sides of it.
+        step: from which on the run is simulated anew; its row was measured, and those on both sides of it, where there
+            are such rows.
         blind_from: the first row before it that cannot be compared, up to the one after ``step``.
         stem_cm: shape (10, 2).
     """
@@ -48,20 +49,38 @@ def restarts_of(run: MeasuredRun, steps: int, every: int) -> list[Restart]:
         steps: that are simulated.
         every: restarts lie at multiples of so many steps, for only these are told.
     """
-    measured = run.is_measured
-    dwell_h = _short_dwell_h(run)
     out: list[Restart] = []
-    for gap in run.unseen:
-        if _hours(gap, run) <= (LEAST_H if gap.changes else max(LEAST_H, dwell_h)) or (
-            out and gap.start < out[-1].step
-        ):
+    for gap in _long_gaps(run):
+        if out and gap.start < out[-1].step:
             continue
         after = np.arange(-(-(gap.stop + 2) // every) * every, min(steps, len(run) - 1), every)
-        sound = [row for row in after if measured[row - 1 : row + 2].all()]
-        if sound:
-            step = int(sound[0])
-            out.append(Restart(step, gap.start + 1, first_stem(run.points_cm[step - 1 :])))
+        step = _sound(after, run.is_measured)
+        if step is not None:
+            about = step - 1 + int(np.argmax(run.is_measured[step - 1 :]))
+            out.append(Restart(step, gap.start + 1, first_stem(run.points_cm[about:], run.step_s)))
     return out
+
+
+def lost_from(run: MeasuredRun, restarts: list[Restart]) -> int:
+    """The first row that cannot be compared because no stem after a gap tells where the plant stood then."""
+    begun = restarts[-1].step if restarts else 0
+    return next((gap.start + 1 for gap in _long_gaps(run) if gap.start >= begun), len(run))
+
+
+def _sound(rows: Array, measured: Array) -> int | None:
+    """The first of some rows that was measured with those on both sides of it; else that was measured; else beside
+    which one was."""
+    for judge in (lambda row: measured[row - 1 : row + 2].all(), lambda row: measured[row]):
+        sound = [row for row in rows if judge(row)]
+        if sound:
+            return int(sound[0])
+    return next((int(row) for row in rows if measured[row - 1 : row + 2].any()), None)
+
+
+def _long_gaps(run: MeasuredRun) -> list[UnseenLight]:
+    """Gaps after which a run must begin anew, in order of time."""
+    dwell_h = _short_dwell_h(run)
+    return [gap for gap in run.unseen if _hours(gap, run) > (LEAST_H if gap.changes else max(LEAST_H, dwell_h))]
 
 
 def short_gaps(run: MeasuredRun, steps: int) -> list[UnseenLight]:

@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
+from flora_lab.diagnose.advancing import LONGEST_H, advance
 from flora_lab.diagnose.courses import Course, moments_of
 from flora_lab.diagnose.first_stem import first_stem
-from flora_lab.diagnose.restarts import restarts_of, short_gaps
+from flora_lab.diagnose.restarts import lost_from, restarts_of, short_gaps
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import MeasuredRun
@@ -107,7 +108,7 @@ class Scene:
         self.step_h = run.step_s / 3600.0
         self.per_window = max(1, round(WINDOW_H / self.step_h))
         # The mean of the rows that are told lies half of what is between them later: so do the windows.
-        self._every = TOLD_STEPS if self.per_window % TOLD_STEPS == 0 else 1
+        self._every = TOLD_STEPS if self.per_window % TOLD_STEPS == 0 and self.step_h <= LONGEST_H else 1
         late = (self._every - 1) // 2
         self.windows = (len(run) - 1 - late) // self.per_window
         if self.windows == 0:  # a run shorter than an hour is one window
@@ -120,7 +121,7 @@ class Scene:
         self.warmth_c = np.zeros(self.steps)
         if warm is not None and usual_c is not None:
             self.warmth_c = np.nan_to_num(warm[: self.steps] - usual_c)
-        self.first_cm = first_stem(run.points_cm)
+        self.first_cm = first_stem(run.points_cm, run.step_s)
         self.restarts = restarts_of(run, self.steps, self._every)
         self._short_gaps = short_gaps(run, self.steps)
         self._stems = [(0, *rods_through(self.first_cm[None]))]
@@ -131,6 +132,7 @@ class Scene:
         self.is_seen = run.is_measured
         for again in self.restarts:
             self.is_seen[again.blind_from : again.step + 2] = False
+        self.is_seen[lost_from(run, self.restarts) :] = False
         seen = self.is_seen[1 + late : self.steps + 1 + late].astype(np.float64)
         told = np.stack([np.nan_to_num(rows[:, point, axis]) for point, axis in FEATURES], axis=1)
         weight = seen.reshape(self.windows, self.per_window)
@@ -142,6 +144,7 @@ class Scene:
         self.is_told = np.repeat(count >= 0.25 * self.per_window, len(FEATURES))
         self.features = means.ravel()[self.is_told]
         self.window = np.repeat(np.arange(self.windows), len(FEATURES))[self.is_told]
+        self.rows = count[self.window]  # measured ones, of which the feature is the mean
         self.feature = np.tile(np.arange(len(FEATURES)), self.windows)[self.is_told]
         self._courses: dict[Course, Array] = {}
 
@@ -209,7 +212,8 @@ class Scene:
             now, told = slice(start, stop), slice(start // every, stop // every)
             shown = np.empty((told.stop - told.start, here, STEM_POINTS, 2))
             acting = {name: np.ascontiguousarray(given[name][now, :here]) for name in USUAL}
-            self.law.advance_with(
+            advance(
+                self.law,
                 stems,
                 lanes.traits[:here],
                 terms[:here],
