@@ -39,7 +39,7 @@ def test_a_healthy_run_is_one_however_seldom_it_was_photographed(parts: int) -> 
         assert scene.accepted == ()
         assert scene.unnamed is None
         late.append(scene.found.traits[0, LATENCY] - often.found.traits[0, LATENCY])
-    assert np.mean(late) == pytest.approx(0.0, abs=0.15)  # of its logarithm: 15 % of some twenty minutes
+    assert np.mean(late) == pytest.approx(0.0, abs=0.1)  # of its logarithm: 10 % of some twenty minutes
 
 
 def test_the_same_plant_moves_alike_in_long_steps_and_in_short_ones() -> None:

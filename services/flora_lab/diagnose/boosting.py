@@ -15,7 +15,6 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from flora_common.shapes import STEM_POINTS
-from flora_lab.diagnose.advancing import advance
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.scene import Scene
 from flora_lab.simulator.law import Stems, standing
@@ -112,8 +111,8 @@ def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Arra
                 seen(told, scene.light[now], run.since_h[now], run.time_h[now], scene.warmth_c[now])
             )
             driven = undriven(scene.light[now, None], scene.warmth_c[now])
-            advance(
-                scene.law, stems, traits[None], scene.law.terms[None], driven, shown, scene.step_h, 1, out[now, None]
+            scene.law.advance_with(
+                stems, traits[None], scene.law.terms[None], driven, shown, scene.step_h, 1, out[now, None]
             )
             told = out[now] + added
             out[k] = told[0]

@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose.advancing import advance
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.scene import Lanes, Scene, late_light
 from flora_lab.diagnose.virtual_plants import tips_between
@@ -138,14 +137,13 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
             memories[place[row]] = walker.memory[0]
         driven = undriven(light[row : row + 1, None], scene.warmth_c[row : row + 1, None])
         seen_by = Seen(np.zeros((0, 1)), np.ones(1))
-        advance(scene.law, walker, own, terms[None], driven, seen_by, scene.step_h, 2, nothing)
+        scene.law.advance_with(walker, own, terms[None], driven, seen_by, scene.step_h, 2, nothing)
     turn = change.turned_rad(rows * scene.step_h)
     length, angle, count = rods_through(points[rows])
     stems = Stems(length / change.scale, angle - turn[:, None], count, memories)
     lanes = len(rows)
     out = np.empty((1, lanes, *points.shape[1:]))
-    advance(
-        scene.law,
+    scene.law.advance_with(
         stems,
         np.repeat(own, lanes, axis=0),
         np.repeat(terms[None], lanes, axis=0),

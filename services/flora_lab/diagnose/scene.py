@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.shapes import STEM_POINTS
-from flora_lab.diagnose.advancing import LONGEST_H, advance
 from flora_lab.diagnose.courses import Course, moments_of
 from flora_lab.diagnose.first_stem import first_stem
 from flora_lab.diagnose.restarts import lost_from, restarts_of, short_gaps
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.law import Stems
-from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.measured import STEP_S, MeasuredRun
 from flora_lab.simulator.shape import rods_through
 from flora_lab.simulator.terms import (
     ACTIVITY,
@@ -44,7 +43,8 @@ FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0), (1, 0))
 """Point and axis of what is compared. Heights of the points between follow from the tip's."""
 WINDOW_H: Final = 1.0
 TOLD_STEPS: Final = 3
-"""Simulated stems are told after every so many steps: the mean over an hour is that of all, at a third of the price."""
+"""Simulated stems are told after every so many steps of five minutes: the mean over an hour is that of all, at a third
+of the price. Over longer steps a lamp's answer is no straight line, and each is told."""
 KNOT_H: Final = {"bias": 0.5, "gradient": 1.0, "growth": 1.0, "gain": 1.0}
 USUAL: Final = {"bias": 0.0, "gradient": 0.0, "growth": 1.0, "gain": 1.0}
 """What drives are where nothing drives."""
@@ -108,7 +108,7 @@ class Scene:
         self.step_h = run.step_s / 3600.0
         self.per_window = max(1, round(WINDOW_H / self.step_h))
         # The mean of the rows that are told lies half of what is between them later: so do the windows.
-        self._every = TOLD_STEPS if self.per_window % TOLD_STEPS == 0 and self.step_h <= LONGEST_H else 1
+        self._every = TOLD_STEPS if self.per_window % TOLD_STEPS == 0 and run.step_s <= STEP_S else 1
         late = (self._every - 1) // 2
         self.windows = (len(run) - 1 - late) // self.per_window
         if self.windows == 0:  # a run shorter than an hour is one window
@@ -212,8 +212,7 @@ class Scene:
             now, told = slice(start, stop), slice(start // every, stop // every)
             shown = np.empty((told.stop - told.start, here, STEM_POINTS, 2))
             acting = {name: np.ascontiguousarray(given[name][now, :here]) for name in USUAL}
-            advance(
-                self.law,
+            self.law.advance_with(
                 stems,
                 lanes.traits[:here],
                 terms[:here],
