@@ -8,10 +8,11 @@ import msgspec
 import pytest
 import zmq
 
+from fake_clock import FakeClock
 from flora_bus.broker import MAX_KEPT, MAX_KEPT_BYTES, Broker, LastValues, well_formed
 from flora_common import bus as bus_module
 from flora_common.bus import OUTBOX_LIMIT, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
-from flora_common.clock import NS, FakeClock
+from flora_common.clock import NS
 from flora_common.errors import BadMessage
 from flora_common.messages import Health, LightCommand, Stem, Tick, encode
 
