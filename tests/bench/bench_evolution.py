@@ -32,10 +32,10 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-from bench.bench_neat import processor  # noqa: E402
 from bench.evolution.plain import Plain, plain_way  # noqa: E402
 from bench.evolution.report import POPULATION, GenerationCost, Scaling, Speed, show  # noqa: E402
 from bench.evolution.setting import memory_of, simulators  # noqa: E402
+from bench.machine import processor  # noqa: E402
 from flora_lab.evolve.evaluate import Evaluated, evaluate  # noqa: E402
 from flora_lab.evolve.genome_arrays import GenomeArrays, pack  # noqa: E402
 from flora_lab.evolve.neat_engine import NeatEngine  # noqa: E402
