@@ -42,12 +42,12 @@ from flora_lab.evolve.neat_engine import NeatEngine  # noqa: E402
 from flora_lab.evolve.neat_settings import load_settings  # noqa: E402
 from flora_lab.evolve.task import LEFT, Task  # noqa: E402
 from flora_lab.simulator.interface import Simulator  # noqa: E402
+from lab.evolve_reference import OUTCOMES  # noqa: E402
 
 SEED = 7
 INPUTS = 26
 ROUNDING = 1e-3
 """How near to 0.5 C is where float32 in another order of summing may decide otherwise."""
-OUTCOMES = ("fitness", "reason", "steps", "tip_cm", "is_right")
 
 
 def main() -> int:
