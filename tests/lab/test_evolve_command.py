@@ -168,7 +168,7 @@ def test_runs_are_ranked_by_held_out_fitness_where_there_is_one(evolved: Path) -
     assert standing(structs.replace(run, best_fitness=0.9, held_out_fitness=0.4)) == 0.4
 
 
-def test_champions_say_where_they_are_from(evolved: Path, simulator: Path) -> None:
+def test_champions_say_where_they_are_from(evolved: Path) -> None:
     info = read_evolution(evolved).info
     for number, run in enumerate(info.run, start=1):
         provenance = load_controller(evolved / run.controller).file.provenance
