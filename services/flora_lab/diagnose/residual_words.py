@@ -152,11 +152,8 @@ def _to(value_mm: float) -> str:
 def _sideways(looks: Looks) -> str:
     """Left or right, under which lamp, how long after a switch, and whether it grows with the plant."""
     by = _means(looks.numbers[looks.clearer_plant], "sideways").reshape(len(SIDES), -1)
-    seen = (
-        np.isfinite(looks.numbers[looks.clearer_plant][:, statistics.of_group("sideways")])
-        .any(axis=0)
-        .reshape(by.shape)
-    )
+    sideways = looks.numbers[looks.clearer_plant][:, statistics.of_group("sideways")]
+    seen = np.isfinite(sideways).any(axis=0).reshape(by.shape)
     count = np.maximum(seen.sum(axis=1), 1)
     left, right = by.sum(axis=1) / count
     larger = 0 if abs(left) > abs(right) else 1
