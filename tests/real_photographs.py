@@ -1,4 +1,7 @@
-"""Photographs of real plants that others took. They are no part of this repository: what needs them does without."""
+"""Photographs of real plants that others took. They are no part of this repository: what needs them does without.
+
+``docs/how-to/track-real-photographs.md`` says where they are from.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 
 DATA: Final = Path(os.environ.get("FLORA_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "data"
+"""In the folder that ``FLORA_SHARED`` names, or in ``shared`` beside the checkout."""
 
 
 @dataclass(frozen=True, slots=True)
