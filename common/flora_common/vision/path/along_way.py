@@ -39,8 +39,8 @@ ONWARDS_CM: Final = 0.5
 SAME_TIP_CM: Final = 0.19
 """Where the rules end as near as this to the network, the tip lies half-way between."""
 SHORT_CM, HEADING_CM = 0.04, 0.3
-"""By the first the network's apex lies short of the end of a stem of which it is sure, in the direction of the last piece
-of its way, which is as long as the second."""
+"""By the first the network's apex lies short of the end of a stem of which it is sure, in the direction of the last
+piece of its way, which is as long as the second."""
 SHORT_FROM, SHORT_WHOLE = 0.2, 0.35
 """How likely an apex is from which on a part of :data:`SHORT_CM` counts, and from which on all of it."""
 APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
