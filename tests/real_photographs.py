@@ -34,7 +34,7 @@ class RealPlant:
     @property
     def needed(self) -> pytest.MarkDecorator:
         """Skips a test where the pictures are not there."""
-        return pytest.mark.skipif(not self.path.exists(), reason=f"{self.path.name} is not on this machine")
+        return pytest.mark.skipif(not self.path.exists(), reason=f"{self.path} is not there")
 
 
 BEAN: Final = RealPlant(DATA / "flora-robotica-bean", 20.0, ("--anchor", "361,335"))
