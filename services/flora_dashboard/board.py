@@ -52,7 +52,7 @@ class View(msgspec.Struct, frozen=True):
     Attributes:
         format: :data:`FORMAT`.
         rig, run: names of the rig and of its run folder.
-        plant, interval_s, camera, lamps, target, obstacle: of ``run.toml``; empty, 300 and None where it cannot be read.
+        plant, interval_s, camera, lamps, target, obstacle: of ``run.toml``; empty, 300 and None without one.
         is_connected: the bus answers.
         photograph: that the last stem was measured in, or the last one, where that has waited for its stem for longer
             than a beat; None before the first.
