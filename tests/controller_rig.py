@@ -101,7 +101,7 @@ class Rig:
         self.answers.clear()
         offer = offer or os.urandom(8).hex()
         said = offer_of(loaded.data, offer=offer, name=loaded.file.name, shadow_ticks=shadow_ticks)
-        self._follow(self.succession.on_offer(said, self.now_s))
+        self.succession.on_offer(said, self.now_s)
         for number in self.answers[-1].missing:
             self._follow(self.succession.on_chunk(chunk_of(loaded.data, offer=offer, number=number), self.now_s))
         return self.answers[-1]

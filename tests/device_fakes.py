@@ -14,14 +14,13 @@ from typing import Any
 import msgspec
 import zmq
 
+from fake_clock import FakeClock
 from flora_common.app import Timer
 from flora_common.bus import Freshness
-from flora_common.clock import NS, FakeClock
+from flora_common.clock import NS
 from flora_common.log import Log
 from flora_common.messages import Message, spec_of
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
-
-TINY_JPEG_SIZE = (64, 48)
 
 
 def tiny_jpeg(level: int = 120) -> bytes:

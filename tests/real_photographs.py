@@ -1,4 +1,7 @@
-"""Photographs of real plants that others took. They are no part of this repository: what needs them does without."""
+"""Photographs of real plants that others took. They are no part of this repository: what needs them does without.
+
+``docs/how-to/track-real-photographs.md`` says where they are from.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 
 DATA: Final = Path(os.environ.get("FLORA_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "data"
+"""In the folder that ``FLORA_SHARED`` names, or in ``shared`` beside the checkout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +34,7 @@ class RealPlant:
     @property
     def needed(self) -> pytest.MarkDecorator:
         """Skips a test where the pictures are not there."""
-        return pytest.mark.skipif(not self.path.exists(), reason=f"{self.path.name} is not on this machine")
+        return pytest.mark.skipif(not self.path.exists(), reason=f"{self.path} is not there")
 
 
 BEAN: Final = RealPlant(DATA / "flora-robotica-bean", 20.0, ("--anchor", "361,335"))

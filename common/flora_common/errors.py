@@ -32,68 +32,70 @@ class FloraError(Exception):
 
 
 class BadInput(FloraError):
+    """The caller gave something that cannot be used."""
+
     exit_status = 2
 
 
 class ConfigError(BadInput):
-    pass
+    """The TOML configuration cannot be used."""
 
 
 class BadRunFolder(BadInput):
-    pass
+    """A file of a run folder is missing or cannot be used."""
 
 
 class BadPicture(BadInput):
-    pass
+    """An image is torn, empty, of the wrong size, or not what was announced."""
 
 
 class BadController(BadInput):
-    pass
+    """A controller file must not steer a plant."""
 
 
 class BadMessage(BadInput):
-    pass
+    """Bytes from the bus are no message of the catalogue."""
 
 
 class DeviceError(FloraError):
-    pass
+    """The world did not answer as it should."""
 
 
 class CameraGone(DeviceError):
-    pass
+    """There is no camera, or it died."""
 
 
 class CameraTimeout(DeviceError):
-    pass
+    """The camera hung and was killed."""
 
 
 class FlashDead(DeviceError):
-    pass
+    """The flash lamp did not light."""
 
 
 class LampsDead(DeviceError):
-    pass
+    """The strips could not be written."""
 
 
 class StoreError(FloraError):
-    pass
+    """A file could not be written or verified."""
 
 
 class DiskFull(StoreError):
-    pass
+    """The disk has no room left."""
 
 
 class NasUnreachable(StoreError):
-    pass
+    """The folder is not there, or its marker file is missing."""
 
 
 class NasRefused(StoreError):
-    pass
+    """The folder is read-only, or access to it is not permitted."""
 
 
 class NasDamaged(StoreError):
-    pass
+    """What came back is not what was sent."""
 
 
 class BusUnreachable(FloraError):
-    pass
+    """Nobody answers at the bus address."""

@@ -29,9 +29,17 @@ class FrameRecord(msgspec.Struct, frozen=True):
     """A line of ``frames.jsonl``.
 
     Attributes:
+        tick: that it was taken in.
         file: inside the run folder.
-        metadata: as the camera gave them.
+        sha256, bytes: of that file.
+        width_px, height_px: of the photograph.
+        purpose: whether it shows the plant or the empty setup.
+        light: the lamps that shone.
         flash: whether the flash lamp was confirmed lit.
+        time_s: since the run's start.
+        t_utc_ns: when, wall clock, nanoseconds since 1970.
+        exposure_note: what is wrong with its exposure; empty where nothing is.
+        metadata: as the camera gave them.
     """
 
     tick: int

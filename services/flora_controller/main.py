@@ -107,8 +107,7 @@ def build(app: App[ControllerSection]) -> None:
         app.trouble("silence", "")
 
     def on_offer(offer: ControllerOffer) -> None:
-        if succession.on_offer(offer, time.monotonic()):
-            follow()
+        succession.on_offer(offer, time.monotonic())
         tell_troubles()
 
     def on_chunk(chunk: ControllerChunk) -> None:

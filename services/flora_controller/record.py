@@ -22,11 +22,19 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         run: which run it belongs to; another run starts anew.
         controller: which rule decided last; another one starts without this one's memory, counts and best fitness.
+        version: of this file's format.
         tick: the last tick that was answered.
         light: what was commanded last.
         memory: of the rule.
         watch: what it decided lately.
         shadow: how far the trial of another one has come; None while there is none.
+        blind_ticks: how many ticks in a row, up to the last one, gave no stem or no decision.
+        decisions, switches: how many the rule has made, and how many of its commands changed the lamp.
+        best_fitness: the paper's F of the tip at its best, 1 at most; None before the first stem, or without a target.
+        target_reached: whether the tip was ever in the target's circle.
+        collided_at_s: when the stem first touched the obstacle, seconds since the run's start; None where it did not.
+        clearance_cm: the least distance of stem and obstacle; None before the first stem, or without an obstacle.
+        run_over: why the run is over; empty while it goes on.
         command, said: the answer to ``tick``, to be given again if it is asked again.
     """
 

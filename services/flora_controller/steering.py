@@ -24,7 +24,6 @@ Memory = Mapping[str, float]
 
 Cm = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
 
-
 ROOM_SHARE: Final = {False: 0.6, True: 0.8}
 """Share of the distance with which a stem passed the obstacle that is left to it: where guarding begins, and ends."""
 

@@ -124,21 +124,20 @@ class Succession:
 
     # offers
 
-    def on_offer(self, offer: ControllerOffer, now_s: float) -> bool:
-        """Hear an offer; True where the lineup has changed."""
+    def on_offer(self, offer: ControllerOffer, now_s: float) -> None:
+        """Hear an offer and answer it; the lineup changes with its last chunk at the earliest."""
         known = self._known(offer)
         if known is not None:
             self._say(known)
-            return False
+            return
         try:
             displaced = self._assembly.begin(offer, now_s)
         except BadController as problem:
             self._refuse(offer, str(problem))
-            return False
+            return
         if displaced is not None:
             self._refuse(displaced, f"`{offer.name}` was offered before all of this one had arrived")
         self._say(self._progress(offer))
-        return False
 
     def on_chunk(self, chunk: ControllerChunk, now_s: float) -> bool:
         """Hear a chunk; True where it was the last one and the lineup has changed."""
@@ -210,15 +209,15 @@ class Succession:
         self, entry: Entry, stage: OfferStage, reason: str = "", *, missing: tuple[int, ...] = ()
     ) -> ControllerAnswer:
         candidate = self._record.candidate
-        is_shadow = stage == "shadowing" and candidate is not None
+        left = 0
+        if stage == "shadowing" and candidate is not None:
+            left = max(0, candidate.shadow_ticks - self._shadow_ticks_done)
         return ControllerAnswer(
             offer=entry.offer,
             stage=stage,
             sha256=entry.sha256,
             missing=missing,
-            shadow_ticks_left=max(0, candidate.shadow_ticks - self._shadow_ticks_done)
-            if is_shadow and candidate
-            else 0,
+            shadow_ticks_left=left,
             steers=self.lineup.steering.name[:LONGEST_REASON],
             reason=reason[:LONGEST_REASON],
         )

@@ -50,11 +50,16 @@ class View(msgspec.Struct, frozen=True):
     """The page's content at one moment, as ``/api/state`` tells it.
 
     Attributes:
+        format: :data:`FORMAT`.
+        rig, run: names of the rig and of its run folder.
+        plant, interval_s, camera, lamps, target, obstacle: of ``run.toml``; empty, 300 and None without one.
         is_connected: the bus answers.
         photograph: that the last stem was measured in, or the last one, where that has waited for its stem for longer
             than a beat; None before the first.
         is_measured: the last stem was measured in that photograph.
         last: the last message of each kind that was heard.
+        services: how each service is.
+        concerns: what somebody should know or do.
         rows_begin, rows_end: numbers of the first row of the history, and of the one that comes next.
     """
 

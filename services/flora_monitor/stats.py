@@ -96,9 +96,14 @@ class Row:
     """A stream at one moment.
 
     Attributes:
+        topic: of the messages.
+        source: which service says them.
+        count: messages that could be read.
         rate_hz: messages per real second; None for fewer than two.
         period_s: mean interval, in rig time for ticks and real time for health; None for fewer than two.
         jitter_s: its standard deviation.
+        lost, repeated: messages by the gaps in their numbers, and by numbers that came before.
+        bad: messages that could not be read.
         age_s: since the last one, in the same time; None where nothing readable came.
         late: silent for longer than the catalogue's period allows.
     """

@@ -7,6 +7,7 @@ flora-capture stores ``background/<file>`` and says ``frame``; then comes the ne
 from __future__ import annotations
 
 import argparse
+import math
 import select
 import signal
 import sys
@@ -292,14 +293,20 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _count(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
     if not 1 <= value <= 50:
-        raise ValueError
+        raise argparse.ArgumentTypeError("must be 1 to 50")
     return value
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not 0.0 < value <= 3600.0:
-        raise ValueError
+        raise argparse.ArgumentTypeError("must be above 0, 3600 s at most")
     return value

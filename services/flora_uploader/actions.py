@@ -15,7 +15,7 @@ from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target, ru
 from flora_uploader.ledger import Ledger, read_only
 from flora_uploader.ledger_damage import LedgerDamaged
 from flora_uploader.model import Event, World
-from flora_uploader.retention import disk_use
+from flora_uploader.retention import disk_percent_free
 from flora_uploader.uploader import Uploader
 
 SHOWN: Final = 20
@@ -25,7 +25,7 @@ PROGRESS_EVERY_S: Final = 0.2
 def percent_free(rig: RigSection, config: UploaderSection) -> float:
     """Of the spool's disk; all of it where there is no spool yet."""
     try:
-        return disk_use(runs_dir(rig, config)).percent_free
+        return disk_percent_free(runs_dir(rig, config))
     except OSError:
         return 100.0  # nothing to make room in; the scan tells what is wrong
 

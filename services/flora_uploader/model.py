@@ -59,6 +59,5 @@ class Totals:
     files: int = 0
     bytes: int = 0
     found_there: int = 0
-    freed: int = 0
     rechecked: int = 0
     found_damaged: int = 0

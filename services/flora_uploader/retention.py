@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Generator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
@@ -27,21 +26,10 @@ YOUNGEST_NS: Final = 24 * 3600 * 1_000_000_000
 FreeResult = Literal["freed", "gone", "changed", "not_at_target", "kept"]
 
 
-@dataclass(frozen=True, slots=True)
-class DiskUse:
-    """How full a disk is, for those who are not root."""
-
-    percent_free: float
-
-    @property
-    def percent_used(self) -> float:
-        return 100.0 - self.percent_free
-
-
-def disk_use(folder: Path) -> DiskUse:
-    """Of the disk that a folder is on (statvfs)."""
+def disk_percent_free(folder: Path) -> float:
+    """How much of the disk that a folder is on is free for those who are not root (statvfs)."""
     found = os.statvfs(folder)
-    return DiskUse(100.0 * found.f_bavail / found.f_blocks if found.f_blocks else 100.0)
+    return 100.0 * found.f_bavail / found.f_blocks if found.f_blocks else 100.0
 
 
 def may_be_freed(entry: Entry, now_ns: int) -> bool:

@@ -317,7 +317,6 @@ class Uploader:
             result = yield from retention.free(entry, source, _destination(entry), self._target, now_ns)
             if result in ("freed", "gone"):
                 self._ledger.mark(entry, "freed")
-                self.totals.freed += result == "freed"
             elif result in ("changed", "not_at_target"):
                 self._ledger.mark(entry, "waiting", "looked at again before making room")
             else:

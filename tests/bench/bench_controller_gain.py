@@ -28,7 +28,7 @@ sys.path.insert(0, str(TESTS))
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
-from bench.bench_neat import processor  # noqa: E402
+from bench.machine import processor  # noqa: E402
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET  # noqa: E402
 from flora_common.shapes import Obstacle  # noqa: E402
 from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain  # noqa: E402

@@ -32,22 +32,22 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-from bench.bench_neat import processor  # noqa: E402
 from bench.evolution.plain import Plain, plain_way  # noqa: E402
 from bench.evolution.report import POPULATION, GenerationCost, Scaling, Speed, show  # noqa: E402
 from bench.evolution.setting import memory_of, simulators  # noqa: E402
+from bench.machine import processor  # noqa: E402
 from flora_lab.evolve.evaluate import Evaluated, evaluate  # noqa: E402
 from flora_lab.evolve.genome_arrays import GenomeArrays, pack  # noqa: E402
 from flora_lab.evolve.neat_engine import NeatEngine  # noqa: E402
 from flora_lab.evolve.neat_settings import load_settings  # noqa: E402
 from flora_lab.evolve.task import LEFT, Task  # noqa: E402
 from flora_lab.simulator.interface import Simulator  # noqa: E402
+from lab.evolve_reference import OUTCOMES  # noqa: E402
 
 SEED = 7
 INPUTS = 26
 ROUNDING = 1e-3
 """How near to 0.5 C is where float32 in another order of summing may decide otherwise."""
-OUTCOMES = ("fitness", "reason", "steps", "tip_cm", "is_right")
 
 
 def main() -> int:

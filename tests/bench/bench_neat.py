@@ -27,6 +27,7 @@ from typing import Any
 import neat
 import numba
 import numpy as np
+from machine import processor
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -215,13 +216,6 @@ def show(figures: list[Figures], versions: dict[str, str], machine: dict[str, An
             met = "met" if f.fast_ms <= GOAL_MS else "missed"
             console.print(f"goal {GOAL_MS:.0f} ms with {f.population} genomes, {f.species:.0f} species: {met}")
     console.print(f"the same genomes both ways, to the bit; {versions}; {machine}")
-
-
-def processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.machine()
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from typing import Any, Self
 import numba
 import numpy as np
 import torch
+from machine import processor
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -298,14 +299,6 @@ def show(times: dict[str, list[float]], versions: dict[str, str], machine: dict[
 
 def _repeats(times: dict[str, list[float]]) -> int:
     return len(next(iter(times.values())))
-
-
-def processor() -> str:
-    """Its name, as Linux tells it."""
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.machine()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -76,3 +77,10 @@ def found_of(scenes: list[Scene], traits: list[Array], misfit_per_feature: float
     """As a fit would end that found the plants' own constants."""
     misfit = 0.5 * misfit_per_feature * sum(scene.size for scene in scenes)
     return Found(Hypothesis(), np.zeros(0), np.stack(traits), np.zeros((len(scenes), 2)), misfit=misfit)
+
+
+def colours_in(picture: bytes) -> set[tuple[int, ...]]:
+    """The colours, red-green-blue, that more than 40 pixels of a PNG have."""
+    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    found, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
+    return {tuple(int(part) for part in colour) for colour, count in zip(found, counts, strict=True) if count > 40}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from evolve_genomes import INPUTS, followers
+from evolve_reference import controller_of
 from neat.activations import ActivationFunctionSet
 from neat.aggregations import AggregationFunctionSet
 from neat.nn import FeedForwardNetwork
@@ -20,7 +21,7 @@ from flora_common.files import sha256_of_bytes
 from flora_common.geometry import FloatArray
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
-from flora_lab.evolve.controllers import FromFile, controller_of
+from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.evolution_folder import (
     Evolution,

@@ -23,6 +23,11 @@ GROWTH_CM_H = 0.12
 LEAN_CM_H = 0.3
 
 
+def upright(count: int = 1, height_cm: float = 8.0) -> FloatArray:
+    """So many straight stems above their anchor, shape (count, 10, 2), cm."""
+    return np.repeat(np.linspace(0.0, 1.0, 10)[None, :, None] * np.array([0.0, height_cm]), count, axis=0)
+
+
 @dataclass(frozen=True, slots=True)
 class Straight:
     """Tips, shape (batch, 2), and how fast each plant grows, shape (batch,)."""

@@ -260,9 +260,7 @@ def test_a_dark_first_row_is_fine_and_other_dark_rows_can_be_left_out(
     assert rows == [row for row in range(29) if row != 7]
 
 
-def test_a_row_that_is_missing_is_a_gap_and_a_late_beat_is_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_row_that_is_missing_is_a_gap_and_a_late_beat_is_none(tmp_path: Path) -> None:
     lines = track_text().splitlines()
     late = lines[20].split(",")
     lines[20] = ",".join([f"{float(late[0]) + 12.0}", *late[1:]])

@@ -9,10 +9,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
+from diagnose_fakes import colours_in
 from evolve_simulators import mechanistic
 from html_reader import Reader
 
@@ -276,12 +276,6 @@ def test_the_page_shows_fitness_scatter_and_collisions() -> None:
             assert f"{told[name]['sd_of_plants']:.3f}" in read.cells
             assert f"{100.0 * told[name]['collisions']:.0f} %" in read.cells
     assert "controllers" not in Reader(page(result(EXTENSION).diagnosis, {})).text
-
-
-def colours_in(picture: bytes) -> set[tuple[int, ...]]:
-    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
-    found, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
-    return {tuple(int(part) for part in colour) for colour, count in zip(found, counts, strict=True) if count > 40}
 
 
 def test_the_picture_shows_both_simulators_and_is_the_same_again() -> None:

@@ -6,11 +6,10 @@ import functools
 import io
 import re
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
-from diagnose_fakes import BASE, found_of, scene_of
+from diagnose_fakes import BASE, colours_in, found_of, scene_of
 from html_reader import Reader
 from PIL import Image
 
@@ -83,12 +82,6 @@ def diagnosis(verdict: str = "explained", **how: object) -> Diagnosis:
         Diagnosis,
         from_attributes=True,
     )
-
-
-def colours_in(picture: bytes) -> set[tuple[int, ...]]:
-    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
-    found, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
-    return {tuple(int(part) for part in colour) for colour, count in zip(found, counts, strict=True) if count > 40}
 
 
 BLUE, ORANGE = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)

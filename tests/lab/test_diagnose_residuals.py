@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnose_fakes import BASE, found_of, scene_of
 
-from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.diagnosis import Residuals
 from flora_lab.diagnose.replayed import replayed
 from flora_lab.diagnose.residual_words import mm, p_text
@@ -154,27 +154,27 @@ def test_exchanging_whole_runs_gives_the_exact_share() -> None:
     other = rng.standard_normal((9, 4))
     group = [np.arange(4)]
     far = rng.standard_normal((3, 4)) + np.array([9.0, 0.0, 0.0, 0.0])
-    compared = told.compared(far, other, group)
+    compared = statistics.compared(far, other, group)
     assert compared.p_value == 1.0 / math.comb(12, 3)
     assert int(np.argmax(np.abs(compared.away))) == 0
     assert compared.away[0] > compared.remarkable
     # One run against nine cannot tell more than one in ten.
-    assert told.compared(far[:1], other, group).p_value == pytest.approx(0.1)
+    assert statistics.compared(far[:1], other, group).p_value == pytest.approx(0.1)
     # A number that few runs tell does not count.
     unknown = far.copy()
     unknown[:2, 0] = np.nan
-    assert math.isnan(told.compared(unknown, other, group).away[0])
+    assert math.isnan(statistics.compared(unknown, other, group).away[0])
 
 
 def test_exchanges_are_fair_where_nothing_is_wrong() -> None:
     rng = np.random.default_rng(2)
     values = [
-        told.compared(rng.standard_normal((3, 6)), rng.standard_normal((9, 6)), [np.arange(6)]).p_value
+        statistics.compared(rng.standard_normal((3, 6)), rng.standard_normal((9, 6)), [np.arange(6)]).p_value
         for _ in range(200)
     ]
     assert 0.01 < np.mean(np.array(values) <= 0.05) < 0.1
     assert 0.4 < np.median(values) < 0.6
-    many = told.compared(rng.standard_normal((9, 6)), rng.standard_normal((9, 6)), [np.arange(6)])
+    many = statistics.compared(rng.standard_normal((9, 6)), rng.standard_normal((9, 6)), [np.arange(6)])
     assert many.ways == 3000
     assert 0.0 < many.p_value <= 1.0
 

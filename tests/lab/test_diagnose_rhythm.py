@@ -94,13 +94,13 @@ def test_a_tip_that_lamps_make_swing_is_no_swing() -> None:
     wrong = np.random.default_rng(5).uniform(0.7, 1.3, 12)
     left = [spectrum(noise(seed) + 0.2 * share * tip, STEP_H) for seed, share in zip(range(12), wrong, strict=True)]
     swings = usual(left[:10], [moved] * 10)
-    assert swings.follows > 0.01
+    assert 0.5 * 0.2**2 < swings.follows < 2.0 * 0.2**2  # of the power; tried in steps of a half
     forewarned = best_swing(left[10:], [swings.expectations(moved)] * 2)
     naive = best_swing(left[10:], [healthy().expectations(none_moves())] * 2)
     assert naive.evidence > CLAIM
     assert naive.period_h == pytest.approx(2.0, rel=0.03)
     assert forewarned.evidence < CLAIM
-    assert healthy().follows == 0.0 or healthy().expected(none_moves()).max() < 2.0 * healthy().power.max()
+    assert healthy().expected(none_moves()).max() < 2.0 * healthy().power.max()
 
 
 def test_a_spectrum_is_of_the_power_that_is_there() -> None:

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from evolution_examples import GENERATIONS, POPULATION, RUNS, TASK, contents, write_rod, write_task
+from evolve_reference import run_episodes
 from msgspec import structs
 
 from flora_common.controller_file import load_controller
 from flora_common.runs import LampsSection
 from flora_lab.evolve import plan
 from flora_lab.evolve.controllers import FromFile
-from flora_lab.evolve.episode import run_episodes
 from flora_lab.evolve.evolution_folder import read_evolution, standing
 from flora_lab.evolve.individuals import HELD_OUT, Individuals
 from flora_lab.evolve.kept_runs import kept_path
@@ -168,7 +168,7 @@ def test_runs_are_ranked_by_held_out_fitness_where_there_is_one(evolved: Path) -
     assert standing(structs.replace(run, best_fitness=0.9, held_out_fitness=0.4)) == 0.4
 
 
-def test_champions_say_where_they_are_from(evolved: Path, simulator: Path) -> None:
+def test_champions_say_where_they_are_from(evolved: Path) -> None:
     info = read_evolution(evolved).info
     for number, run in enumerate(info.run, start=1):
         provenance = load_controller(evolved / run.controller).file.provenance

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from evolve_genomes import INPUTS as INPUT_COUNT
 from evolve_genomes import random_networks
+from evolve_reference import Fed, asked_as_neat_does, controller_of, neat_network
 from neat.export import export_network_json
 
 from flora_common.controller_file import INPUT_NAMES, LoadedController, parse_controller
@@ -23,13 +24,9 @@ from flora_controller.steering import View
 from flora_lab.evolve.controllers import (
     INPUTS,
     SCALE_CM,
-    Fed,
     FromFile,
-    asked_as_neat_does,
     controller_bytes,
-    controller_of,
     export_of,
-    neat_network,
 )
 from flora_lab.evolve.task import LEFT, MIDDLE, Scenario, Task
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from evolve_genomes import genome_config, overflowing, random_genomes
+from evolve_reference import activate
 
-from flora_lab.evolve.genome_activate import activate, networks_of
+from flora_lab.evolve.genome_activate import networks_of
 from flora_lab.evolve.genome_arrays import GenomeArrays, pack
 from flora_lab.evolve.genome_decide import LANES, NO_DECISION, decide
 from flora_lab.evolve.plant_looks import STEM, TOLD

@@ -1,17 +1,16 @@
-"""Episodes: who decides what and when it ends, and many side by side as one alone."""
+"""Episodes: who decides what, when it ends, and what it is worth; on one plant and on several."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 from evolve_genomes import followers, random_networks
+from evolve_reference import asked_as_neat_does, controller_of, run_episodes
 from simulator_fakes import GROWTH_CM_H, LEAN_CM_H, Straight, StraightPlant
 
 from flora_common import geometry
@@ -24,20 +23,15 @@ from flora_common.shapes import Obstacle, Target
 from flora_controller import evolved
 from flora_controller.evolved import Evolved
 from flora_controller.steering import View
-from flora_lab.evolve.controllers import Controller, FromFile, asked_as_neat_does, controller_of
-from flora_lab.evolve.episode import AT_ONCE, LEFT_AT_MOST, REASONS, Outcomes, run_episode, run_episodes
+from flora_lab.evolve.episode import LEFT_AT_MOST, REASONS, run_episode
 from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.task import LEFT, MIDDLE, Scenario, Task, averages, straight_stem
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.individual import Prior
-from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.lstm_cell import Dense, LstmCell
-from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, Box, PaperNetwork, PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.tropism_traits import prior_mean, prior_spread
 
-Array = npt.NDArray[Any]
 SHORT = replace(LEFT, name="short", hours=10.0)
 AWAY = Scenario("away", Target(-5.12, 17.9), Obstacle(30.0, 8.8))
 
@@ -66,35 +60,12 @@ def rod() -> RodSimulator:
     return RodSimulator(LampsSection(), Prior(prior_mean(), prior_spread()), DriveNoise(), DataRange(20.0, 6.0))
 
 
-def paper() -> PaperSimulator:
-    """Random weights: no plant, but one that answers the lamps."""
-    rng = np.random.default_rng(1)
-    cell = LstmCell(*(0.3 * rng.normal(size=s) for s in ((4 * CELLS, INPUTS), (4 * CELLS, CELLS), (4 * CELLS,))))
-    dense = Dense.of(0.1 * rng.normal(size=(COORDINATES, CELLS)), 0.1 + 0.0 * np.arange(COORDINATES))
-    box = Box(np.full(COORDINATES, -1.0, dtype=np.float32), np.full(COORDINATES, 1.0, dtype=np.float32))
-    return PaperSimulator(PaperNetwork(cell, dense), box, unit_cm=65.0, step_s=300.0)
-
-
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
     before = numba.get_num_threads()
     numba.set_num_threads(1)
     yield
     numba.set_num_threads(before)
-
-
-def controllers(count: int, seed: int = 1) -> list[Controller]:
-    """Of every two one that steers and one that does anything."""
-    networks = zip(followers(count, seed), random_networks(count, seed, calm=True), strict=True)
-    return [FromFile(controller_of(network, LEFT)) for pair in networks for network in pair][:count]
-
-
-def same(one: Outcomes, other: Outcomes) -> bool:
-    """To the last bit."""
-    return all(
-        getattr(one, name).tobytes() == getattr(other, name).tobytes()
-        for name in ("fitness", "reason", "steps", "tip_cm", "is_right")
-    )
 
 
 # One alone
@@ -115,8 +86,6 @@ def test_at_most_half_is_left(output: float, side: float) -> None:
     assert course.is_right.tolist() == [side > 0.0] * 120
     assert np.abs(course.stems_cm[:, -1, 0] - side * LEAN_CM_H * np.arange(121) / 12.0).max() < 1e-9
     assert abs(course.stems_cm[-1, -1, 1] - (6.5 + 10.0 * GROWTH_CM_H)) < 1e-9
-    task = replace(SHORT, scenarios=(AWAY,))
-    assert (run_episodes([Rule(lambda stem: output)], StraightPlant(), task).is_right == (side > 0.0)).all()
 
 
 def test_it_ends_when_the_tip_is_high_enough() -> None:
@@ -141,7 +110,6 @@ def test_it_ends_where_the_stem_touches_and_not_before() -> None:
     tip = course.stems_cm[-1, -1]
     assert 7.3 <= tip[1] < 7.6  # the obstacle's lower edge, and one step
     assert course.fitness == Target(0.0, 17.9).fitness(tip[0], tip[1])  # no penalty but the end itself
-    assert course.first_in_target is None
 
 
 def test_a_collision_counts_before_the_height_and_that_before_the_time() -> None:
@@ -151,14 +119,12 @@ def test_a_collision_counts_before_the_height_and_that_before_the_time() -> None
         task = replace(LEFT, scenarios=(scenario,), hours=steps / 12.0)
         course = run_episode(UPRIGHT, fast(), task, scenario)
         assert (course.reason, course.steps, course.stems_cm[-1, -1, 1] >= 21.0) == (reason, steps, True)
-        assert REASONS[run_episodes([UPRIGHT], fast(), task).reason.item()] == reason
 
 
-def test_it_says_when_the_tip_was_in_the_target_and_how_near_the_obstacle() -> None:
+def test_it_says_how_near_the_obstacle_the_stem_came() -> None:
     high = Scenario("high", Target(0.0, 17.0), Obstacle(10.0, 8.8))
     course = run_episode(UPRIGHT, fast(), MIDDLE, high)
 
-    assert course.first_in_target == math.ceil((15.0 - 6.5) / 0.2 - 1e-9)
     least = min(geometry.clearance_cm(stem, high.obstacle) for stem in course.stems_cm)
     assert course.clearance_cm == least > 5.0
 
@@ -193,8 +159,6 @@ def test_without_an_answer_it_ends_and_is_worth_nothing(of: Callable[[FloatArray
     assert course.fitness == 0.0
     lost = Scenario("lost", Target(3.0, 3.0), Obstacle(30.0, 8.8))
     assert run_episode(Rule(of), fast(), LEFT, lost).fitness < 0.0
-    told = run_episodes([Rule(of)], fast(), replace(LEFT, scenarios=(AWAY,)))
-    assert (told.fitness.item(), REASONS[told.reason.item()], told.steps.item()) == (0.0, "no answer", course.steps)
 
 
 class Breaks(StraightPlant):
@@ -208,13 +172,12 @@ class Breaks(StraightPlant):
 
 def test_a_simulator_that_gives_no_numbers_is_told_in_one_line() -> None:
     task = Task("one", (AWAY,))
-    for ask in (lambda: run_episode(UPRIGHT, Breaks(), task, AWAY), lambda: run_episodes([UPRIGHT], Breaks(), task)):
-        with pytest.raises(BadInput) as told:
-            ask()
-        assert str(told.value) == (
-            "the simulator gives a stem that is not finite, task one, scenario away, after 12.6 h; "
-            "train it again or take another one"
-        )
+    with pytest.raises(BadInput) as told:
+        run_episode(UPRIGHT, Breaks(), task, AWAY)
+    assert str(told.value) == (
+        "the simulator gives a stem that is not finite, task one, scenario away, after 12.6 h; "
+        "train it again or take another one"
+    )
 
 
 def test_the_rig_would_have_switched_the_same_lamps() -> None:
@@ -232,75 +195,11 @@ def test_the_rig_would_have_switched_the_same_lamps() -> None:
     assert switches > 10
 
 
-# Many side by side
-
-
-@pytest.mark.parametrize("make", [fast, rod, paper])
-@pytest.mark.parametrize("seeds", [None, [3, 4]])
-def test_side_by_side_is_as_alone(make: Callable[[], Simulator[Any]], seeds: list[int] | None) -> None:
-    simulator, task = make(), replace(LEFT, name="day", hours=30.0)
-    steering = [*controllers(3), ALWAYS_LEFT, ALWAYS_RIGHT, UPRIGHT]
-
-    told = run_episodes(steering, simulator, task, seeds)
-
-    assert told.fitness.shape == (6, 4, len(seeds or [0]))
-    for (i, j, k), fitness in np.ndenumerate(told.fitness):
-        course = run_episode(steering[i], simulator, task, task.scenarios[j], seeds[k] if seeds else None)
-        assert course.fitness == fitness
-        assert course.reason == REASONS[told.reason[i, j, k]]
-        assert course.steps == told.steps[i, j, k]
-        assert course.stems_cm[-1, -1].tolist() == told.tip_cm[i, j, k].tolist()
-        shone = told.is_right[i, j, k]
-        assert course.is_right.tolist() == shone[: course.steps].tolist()
-        assert not shone[course.steps :].any()
-    if make is not paper:  # random weights need not end in many ways
-        assert len(np.unique(told.reason)) >= 2
-
-
-def test_neither_order_nor_company_matters() -> None:
-    task = replace(LEFT, name="day", hours=24.0)
-    steering = [*controllers(4, 2), UPRIGHT]
-    whole = run_episodes(steering, rod(), task, [1, 2])
-    turned = run_episodes(steering[::-1], rod(), replace(task, scenarios=task.scenarios[::-1]), [2, 1])
-    for name in ("fitness", "reason", "steps", "tip_cm", "is_right"):
-        assert getattr(turned, name)[::-1, ::-1, ::-1].tobytes() == getattr(whole, name).tobytes()
-    alone = [run_episodes([one], rod(), task, [1, 2]) for one in steering]
-    assert np.concatenate([one.fitness for one in alone]).tobytes() == whole.fitness.tobytes()
-    assert same(run_episodes(steering, rod(), task, [1, 2]), whole)
-
-
-def test_more_episodes_than_go_side_by_side() -> None:
-    steering = controllers(4, 3) * (AT_ONCE // 8)
-    assert len(steering) * len(LEFT.scenarios) > AT_ONCE
-
-    told = run_episodes(steering, fast(5.0), LEFT)
-
-    first = run_episodes(steering[:4], fast(5.0), LEFT)
-    for k in range(0, len(steering), 4):
-        assert told.fitness[k : k + 4].tobytes() == first.fitness.tobytes()
-
-
-def test_a_batch_ends_with_its_last_episode() -> None:
-    steps = 0
-
-    class Counts(StraightPlant):
-        def step(self, *arguments: Any) -> tuple[Straight, FloatArray]:
-            nonlocal steps
-            steps += 1
-            return super().step(*arguments)
-
-    told = run_episodes([UPRIGHT, ALWAYS_LEFT], Counts(speed=20.0), MIDDLE)
-
-    assert steps == told.steps.max() < MIDDLE.most_steps
-
-
 def test_a_start_that_is_over_at_once_takes_no_step() -> None:
     high = replace(LEFT, name="high", start_cm=straight_stem(20.999), stop_height_cm=20.99)
     course = run_episode(UPRIGHT, fast(), high, AWAY)
 
     assert (course.steps, course.reason) == (0, "height")
-    told = run_episodes([UPRIGHT], fast(), replace(high, scenarios=(AWAY,)))
-    assert (told.steps.item(), told.fitness.item()) == (0, course.fitness)
 
 
 # Several plants

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from evolve_genomes import INPUTS, genome_config, overflowing, random_genomes
+from evolve_reference import OUTCOMES, controller_of, run_episodes, same
 from evolve_simulators import SHOWN, learned, mechanistic
 from neat.nn import FeedForwardNetwork
 from simulator_fakes import StraightPlant
 
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
-from flora_lab.evolve.controllers import FromFile, controller_of
-from flora_lab.evolve.episode import COLLISION, NO_ANSWER, TIME, Outcomes, run_episodes
+from flora_lab.evolve.controllers import FromFile
+from flora_lab.evolve.episode import COLLISION, NO_ANSWER, TIME, Outcomes
 from flora_lab.evolve.evaluate import TYPICAL, evaluate
 from flora_lab.evolve.genome_arrays import pack
 from flora_lab.evolve.individuals import Individuals
@@ -30,11 +31,6 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.tropism_traits import prior_mean, prior_spread
 
 HOURS = 12.0
-OUTCOMES = ("fitness", "reason", "steps", "tip_cm", "is_right")
-
-
-def same(one: Outcomes, other: Outcomes) -> bool:
-    return all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in OUTCOMES)
 
 
 def reference(

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evolve_genomes import INPUTS, genome_config, random_genomes
+from evolve_reference import controller_of, run_episodes, same
 from evolve_simulators import extended, learned, mechanistic
 from neat.nn import FeedForwardNetwork
 
 from flora_common.errors import BadInput
-from flora_lab.evolve.controllers import FromFile, controller_of
-from flora_lab.evolve.episode import COLLISION, Outcomes, run_episodes
+from flora_lab.evolve.controllers import FromFile
+from flora_lab.evolve.episode import COLLISION
 from flora_lab.evolve.evaluate import TYPICAL, evaluate
 from flora_lab.evolve.genome_arrays import pack
 from flora_lab.evolve.individuals import Individuals
@@ -25,11 +26,6 @@ from flora_lab.simulator.store import Extension
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
 HOURS = 12.0
-OUTCOMES = ("fitness", "reason", "steps", "tip_cm", "is_right")
-
-
-def same(one: Outcomes, other: Outcomes) -> bool:
-    return all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in OUTCOMES)
 
 
 @pytest.mark.parametrize("individuals", [TYPICAL, Individuals(3, seed=5)])

@@ -11,13 +11,14 @@ import pytest
 import torch
 from evolve_courses import courses
 from evolve_genomes import INPUTS, genome_config, random_genomes
+from evolve_reference import OUTCOMES, controller_of, run_episodes
 from evolve_simulators import paper
 from neat.nn import FeedForwardNetwork
 
 from flora_common.errors import BadInput
 from flora_lab.evolve import lstm_tiles
-from flora_lab.evolve.controllers import FromFile, controller_of
-from flora_lab.evolve.episode import Course, Outcomes, run_episode, run_episodes
+from flora_lab.evolve.controllers import FromFile
+from flora_lab.evolve.episode import Course, Outcomes, run_episode
 from flora_lab.evolve.evaluate import evaluate
 from flora_lab.evolve.genome_arrays import pack
 from flora_lab.evolve.individuals import Individuals
@@ -181,7 +182,7 @@ def test_sharing_threads_and_company_change_nothing(stateful: bool) -> None:
         evaluate(pack(genomes, INPUTS), simulator, task, share=False),
         evaluate(pack(genomes, INPUTS), simulator, task, threads=3),
     ):
-        for name in ("fitness", "reason", "steps", "tip_cm", "is_right"):
+        for name in OUTCOMES:
             assert getattr(other.outcomes, name).tobytes() == getattr(found.outcomes, name).tobytes()
     alone = evaluate(pack([genomes[17]], INPUTS), simulator, task).outcomes
     assert alone.tip_cm.tobytes() == found.outcomes.tip_cm[17:18].tobytes()

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from evolution_examples import TASK, contents, write_rod
 from evolve_genomes import INPUTS, genome_config, random_genomes
+from evolve_reference import OUTCOMES, controller_of, run_episodes
 from evolve_simulators import learned
 from neat.nn import FeedForwardNetwork
 
 from flora_common.controller_file import load_controller
 from flora_common.geometry import FloatArray
-from flora_lab.evolve.controllers import FromFile, controller_of
-from flora_lab.evolve.episode import run_episodes
+from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.evaluate import evaluate
 from flora_lab.evolve.evolution_folder import read_evolution
 from flora_lab.evolve.evolution_writing import write_evolution
@@ -36,7 +36,6 @@ from flora_lab.simulator.store import Provenance, write_simulator
 
 MEMBERS = 4
 SHORT = replace(LEFT, hours=12.0)
-OUTCOMES = ("fitness", "reason", "steps", "tip_cm", "is_right")
 LIGHT = np.array([(1.0, 0.0), (0.0, 1.0), (0.0, 1.0), (1.0, 0.0)] * 9)
 
 

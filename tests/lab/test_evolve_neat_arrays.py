@@ -11,13 +11,13 @@ import neat
 import numpy as np
 import pytest
 from evolve_neat_toys import settings_with, toy_fitness
+from evolve_reference import activate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from neat.genes import DefaultConnectionGene, DefaultNodeGene
 
 from flora_common.errors import BadInput
 from flora_common.network import ACTIVATIONS, AGGREGATIONS, Network, Node, NotFinite
-from flora_lab.evolve.genome_activate import activate
 from flora_lab.evolve.genome_arrays import pack
 from flora_lab.evolve.neat_engine import NeatEngine
 from flora_lab.evolve.neat_settings import load_settings

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from evolve_genomes import random_networks
+from evolve_reference import controller_of
 from evolve_simulators import learned, mechanistic, paper
 from simulator_fakes import GROWTH_CM_H, LEAN_CM_H, Straight, StraightPlant
 
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
-from flora_lab.evolve.controllers import FromFile, controller_of
+from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.reach import check_stems, reach

@@ -12,6 +12,7 @@ import pytest
 import tomli_w
 from evolve_simulators import paper
 from simulator_contract import LEFT, RIGHT, check_contract
+from simulator_fakes import upright
 
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
@@ -60,10 +61,6 @@ def measured() -> list[MeasuredRun]:
         in_steps(RunTrack(r.name, r.run_file.plant, Path(f"{r.name}.csv"), f"{i:064d}", r.track))
         for i, r in enumerate(dataset_runs(1, open_loops=2, closed_loops=1, hours=4.0))
     ]
-
-
-def upright(count: int = 1, height_cm: float = 8.0) -> Array:
-    return np.repeat(np.linspace(0.0, 1.0, 10)[None, :, None] * np.array([0.0, height_cm]), count, axis=0)
 
 
 def lit(steps: int, *lamps: tuple[float, float]) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tomli_w
 from simulator_contract import LEFT, RIGHT, check_contract
+from simulator_fakes import upright
 
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
@@ -59,10 +60,7 @@ ALL_AT_ONCE = [
     Extension("sag", {"amplitude": 0.5}),
     Extension("draught", {"drive_per_cm_h": 0.05}),
 ]
-
-
-def upright(count: int = 1, height_cm: float = 7.0) -> Array:
-    return np.repeat(np.linspace(0.0, 1.0, 10)[None, :, None] * np.array([0.0, height_cm]), count, axis=0)
+START_CM = upright(height_cm=7.0)
 
 
 def lit(*phases: tuple[float, tuple[float, float]], count: int = 1, step_h: float = 1 / 12) -> Array:
@@ -73,7 +71,7 @@ def lit(*phases: tuple[float, tuple[float, float]], count: int = 1, step_h: floa
 
 def tips(plant: RodSimulator, light: Array, covariates: Mapping[str, Array] | None = None, **more: Any) -> Array:
     """Of one plant after each step, shape (steps, 2)."""
-    return run(plant, plant.start(upright(), **more), light, 300.0, covariates)[:, 0, -1]
+    return run(plant, plant.start(START_CM, **more), light, 300.0, covariates)[:, 0, -1]
 
 
 # What effects do
@@ -138,7 +136,7 @@ def test_a_tip_swings_as_far_and_as_fast_as_it_was_found_to(period_h: float, amp
     swing = np.fft.irfft(waves, len(away), axis=0)
     assert np.sqrt(2.0 * np.mean(swing**2)) == pytest.approx(amplitude_cm, rel=0.1)
     assert 1.0 / per_hour[np.argmax(np.mean(np.abs(waves) ** 2, axis=1))] == pytest.approx(period_h, rel=0.05)
-    typical = (run(p, p.start(upright()), RIGHT_12H, 300.0).tobytes() for p in (calm, swinging))
+    typical = (run(p, p.start(START_CM), RIGHT_12H, 300.0).tobytes() for p in (calm, swinging))
     assert len(set(typical)) == 1  # whose phase nobody knows
 
 
@@ -159,7 +157,7 @@ def course(plant: RodSimulator) -> bytes:
     light = lit((9.0, RIGHT), (9.0, LEFT), count=3)
     warm = {"temperature_c": np.repeat(np.array([[15.0, 22.0, 30.0]]), len(light), axis=0)}
     chance = Chance(np.arange(3))
-    return run(plant, plant.start(upright(3), chance, np.array([LEFT, RIGHT, DARK])), light, 300.0, warm).tobytes()
+    return run(plant, plant.start(upright(3, 7.0), chance, np.array([LEFT, RIGHT, DARK])), light, 300.0, warm).tobytes()
 
 
 @pytest.mark.parametrize("name", OF_PLANTS)
@@ -173,7 +171,7 @@ def test_a_law_with_neutral_terms_is_the_plain_law_to_the_bit() -> None:
     for law in (TropismLaw(LampsSection()), ExtendedLaw(LampsSection())):
         plant = base()
         plant.law = law
-        state = GrowingState(plant.start(upright(2)).stems, traits)
+        state = GrowingState(plant.start(upright(2, 7.0)).stems, traits)
         out.append(run(plant, state, light, 300.0).tobytes())
     assert out[0] == out[1]
     assert type(base().extended([Extension("gravitropism", {"factor": 1.5})]).law) is TropismLaw
@@ -187,7 +185,7 @@ def test_steps_are_those_of_the_law_to_the_bit() -> None:
     rng = np.random.default_rng(4)
     lamps = np.array([LEFT, RIGHT, DARK, (1.0, 1.0)])[rng.integers(0, 4, (72, 2))]
     light = np.repeat(lamps, 12, axis=0)
-    first = GrowingState(plant.start(upright(2)).stems, plant.prior.mean + 0.05 * rng.normal(size=(2, len(NAMES))))
+    first = GrowingState(plant.start(upright(2, 7.0)).stems, plant.prior.mean + 0.05 * rng.normal(size=(2, len(NAMES))))
     stepped = run(plant, first, light, 300.0)
     out, shape = np.empty_like(stepped), light.shape[:2]
     plant.law.advance(first.stems.copy(), first.traits, light, np.zeros(shape), np.ones(shape), 1 / 12, 1, out)
@@ -196,7 +194,7 @@ def test_steps_are_those_of_the_law_to_the_bit() -> None:
 
 
 def first_of(plant: RodSimulator, state: GrowingState) -> GrowingState:
-    return GrowingState(plant.start(upright(len(state.traits))).stems, state.traits)
+    return GrowingState(plant.start(upright(len(state.traits), 7.0)).stems, state.traits)
 
 
 @pytest.mark.parametrize("step_s", [60.0, 120.0])
@@ -204,16 +202,16 @@ def first_of(plant: RodSimulator, state: GrowingState) -> GrowingState:
 def test_a_delay_is_a_light_that_shines_later(step_s: float, delay_h: float) -> None:
     light, late = (lit((3.0 + h, RIGHT), (3.0 - h, LEFT), step_h=step_s / 3600.0) for h in (0.0, delay_h))
     plant = with_effect("phototropic_latency", delay_h=delay_h)
-    delayed, shifted = (run(p, p.start(upright()), shone, step_s) for p, shone in ((plant, light), (base(), late)))
+    delayed, shifted = (run(p, p.start(START_CM), shone, step_s) for p, shone in ((plant, light), (base(), late)))
     assert np.abs(delayed - shifted).max() < 1e-6
-    assert np.abs(shifted[-1] - run(base(), base().start(upright()), light, step_s)[-1]).max() > 0.02
+    assert np.abs(shifted[-1] - run(base(), base().start(START_CM), light, step_s)[-1]).max() > 0.02
 
 
 @pytest.mark.parametrize("times", [2, 6])
 def test_effects_act_in_long_steps_as_in_several_short_ones(times: int) -> None:
     plant, light = base().extended(ALL_AT_ONCE), lit((6.0, RIGHT), (6.0, LEFT))
-    short = run(plant, plant.start(upright()), light, 300.0)
-    long = run(plant, plant.start(upright()), light[::times], 300.0 * times)
+    short = run(plant, plant.start(START_CM), light, 300.0)
+    long = run(plant, plant.start(START_CM), light[::times], 300.0 * times)
     assert np.abs(long - short[times - 1 :: times]).max() < 1e-9
 
 
@@ -223,7 +221,7 @@ def test_the_clock_starts_with_the_run_whatever_shone_before() -> None:
     assert fresh == later
     aged = with_effect("lamp_ageing", loss=0.9)
     for before in (np.array([LEFT]), np.array([RIGHT])):
-        assert aged.start(upright(), before=before).stems.memory[0, 3, 0] == 0.0
+        assert aged.start(START_CM, before=before).stems.memory[0, 3, 0] == 0.0
 
 
 def test_what_shone_before_the_start_is_still_on_its_way() -> None:
@@ -237,7 +235,7 @@ def test_what_shone_before_the_start_is_still_on_its_way() -> None:
 def test_the_clock_goes_on_with_what_was_watched() -> None:
     noon = with_effect("diurnal_growth", amplitude=0.8, peak_h=13.0)
     light = lit((12.0, DARK))
-    seen = np.concatenate([upright()[None], run(noon, noon.start(upright()), light, 300.0)])
+    seen = np.concatenate([START_CM[None], run(noon, noon.start(START_CM), light, 300.0)])
     state = noon.watch(History(seen, light, 300.0, {}))
     assert np.abs(state.traits - noon.prior.mean).max() < 0.05  # the effect is not taken for the individual
     fast = run(noon, state, lit((2.0, DARK)), 300.0)[-1, 0, -1, 1] - seen[-1, 0, -1, 1]
@@ -255,7 +253,7 @@ def warm(light: Array, *at_c: float) -> dict[str, Array]:
 def grown(plant: RodSimulator, *at_c: float) -> Array:
     """Heights after a day at constant temperatures, one plant each."""
     light = lit((24.0, DARK), count=len(at_c))
-    return run(plant, plant.start(upright(len(at_c))), light, 300.0, warm(light, *at_c))[-1, :, -1, 1]
+    return run(plant, plant.start(upright(len(at_c), 7.0)), light, 300.0, warm(light, *at_c))[-1, :, -1, 1]
 
 
 def test_growth_follows_the_temperature_of_each_plant(tmp_path: Path) -> None:
@@ -275,7 +273,7 @@ def test_growth_follows_the_temperature_of_each_plant(tmp_path: Path) -> None:
 
 def test_who_watches_knows_how_warm_it_was() -> None:
     plant, light = with_effect("temperature_growth", per_degree=0.07), lit((24.0, RIGHT))
-    points = np.concatenate([upright()[None], run(plant, plant.start(upright()), light, 300.0, warm(light, 30.0))])
+    points = np.concatenate([START_CM[None], run(plant, plant.start(START_CM), light, 300.0, warm(light, 30.0))])
     told, untold = (plant.watch(History(points, light, 300.0, c)).traits[0] for c in (warm(light, 30.0), {}))
     growth = NAMES.index("growth_early_cm_per_day")
     assert abs(told[growth] - plant.prior.mean[growth]) < 0.02

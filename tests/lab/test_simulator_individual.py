@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from simulator_contract import LEFT, RIGHT
+from simulator_fakes import upright
 
 from flora_common.runs import LampsSection
 from flora_lab.simulator.drives import BLOCK, DriveNoise, Drives
@@ -47,10 +48,6 @@ def sequence() -> SequenceSimulator:
 
 
 both_kinds = pytest.mark.parametrize("make", [rod, sequence])
-
-
-def upright(count: int, height_cm: float = 8.0) -> Array:
-    return np.repeat(np.linspace(0.0, 1.0, 10)[None, :, None] * np.array([0.0, height_cm]), count, axis=0)
 
 
 def switching(count: int, steps: int, seed: int) -> Array:

@@ -59,7 +59,7 @@ def test_bean_lamps_are_told_from_the_pictures(tmp_path: Path, capfd: pytest.Cap
 
 @STALK.needed
 @FOLDED.needed
-def test_films_without_lamps_are_dark(tmp_path: Path) -> None:
+def test_films_without_lamps_are_dark() -> None:
     for film in (STALK.path, FOLDED.path):  # both have something bright on one side
         source = sources.open_source(film)
         found = learning.sort_frames(source, Span(), "auto", Pool(1), path=True)

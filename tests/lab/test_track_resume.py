@@ -13,6 +13,7 @@ from drawn_run import make_run
 from flora_lab.main import main
 from flora_lab.track import part_file
 from flora_lab.track.readings import Reading
+from folders import same_folders
 
 COMMAND = """
 import os, signal, sys
@@ -64,13 +65,6 @@ def run_in_process(code: str, *arguments: str) -> subprocess.CompletedProcess[st
     """Ends only when every process that it started has let go of stdout and stderr."""
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, start_new_session=True)
-
-
-def same_folders(a: Path, b: Path) -> bool:
-    names = sorted(p.name for p in a.iterdir())
-    return names == sorted(p.name for p in b.iterdir()) and all(
-        (a / n).read_bytes() == (b / n).read_bytes() for n in names
-    )
 
 
 @pytest.mark.parametrize("method", ["path", "paper"])

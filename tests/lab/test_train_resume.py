@@ -23,6 +23,7 @@ from flora_lab.run_tracks import RunTrack
 from flora_lab.train import fused_step
 from flora_lab.train.checkpoint import Checkpoint, checkpoint_path
 from flora_twin.runs import dataset_runs
+from folders import same_folders
 
 COMMAND = """
 import os, signal, sys
@@ -69,13 +70,6 @@ def whole(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("whole") / "sim"
     assert main([*command(data, out), "--quiet"]) == 0
     return out
-
-
-def same_folders(a: Path, b: Path) -> bool:
-    names = sorted(p.name for p in a.iterdir())
-    return names == sorted(p.name for p in b.iterdir()) and all(
-        (a / n).read_bytes() == (b / n).read_bytes() for n in names
-    )
 
 
 def interrupted_after(epochs: int, monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:

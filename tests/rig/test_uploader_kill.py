@@ -143,7 +143,7 @@ def look_after_restart(world: World, count: Count) -> None:
 def test_killed_at_system_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     everything = points(tmp_path / "first")
     assert len({name for name, _ in everything}) > 15
-    assert ("rename", 1) in everything or any(name.startswith("rename") for name, _ in everything)
+    assert any(name.startswith("rename") for name, _ in everything)
     chosen = everything if os.environ.get("FLORA_KILL_ALL") == "1" else everything[:: max(1, len(everything) // SAMPLE)]
     count = Count()
     for number, (name, when) in enumerate(chosen):

@@ -247,10 +247,6 @@ class Box:
     def are_lamps_lit(self) -> bool:
         return any(level > 0.0 for lamp in self._head()["lamps"] for level in lamp)
 
-    @property
-    def is_flash_lit(self) -> bool:
-        return bool(self._head()["flash"])
-
 
 def machine_or_skip(folder: Path) -> Machine:
     """A booted machine, or the reason why there is none."""

@@ -190,7 +190,7 @@ def test_a_bus_that_others_reach_needs_keys_or_a_word(tmp_path: Path) -> None:
         check_reach("bus_publish", far, bus_keys="", bus_open=False)
 
 
-def test_an_option_is_held_to_the_same(tmp_path: Path) -> None:
+def test_an_option_is_held_to_the_same() -> None:
     far = "tcp://10.0.0.3:5571"
     with pytest.raises(ConfigError, match="bus_subscribe is tcp://10"):
         at_bus(RigSection(), publish=None, subscribe=far)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from flora_common.clock import NS, FakeClock, FollowerClock, LeaderClock, SystemClock, unix_seconds
+from fake_clock import FakeClock
+from flora_common.clock import NS, FollowerClock, LeaderClock, SystemClock, unix_seconds
 
 
 class Real:

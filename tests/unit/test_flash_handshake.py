@@ -11,7 +11,8 @@ import msgspec
 import pytest
 
 from device_fakes import FakeApp
-from flora_common.clock import NS, FakeClock, LeaderClock
+from fake_clock import FakeClock
+from flora_common.clock import NS, LeaderClock
 from flora_common.config import ClockSection, RigSection
 from flora_common.errors import BadInput, DiskFull, FlashDead
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick

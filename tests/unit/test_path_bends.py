@@ -7,33 +7,24 @@ import math
 import cv2
 import numpy as np
 import pytest
+from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, STEM, WIDTH, drawn, tip_error_mm
 
 from flora_common.geometry import FloatArray
-from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import best_chain
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.trace import traced
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.reading import OCCLUDED, OK, StemReading
+from flora_common.vision.reading import OCCLUDED, OK
 
-WIDTH, HEIGHT, SCALE = 480, 400, 20.0
-ANCHOR = (240.0, 385.0)
-CAMERA = CameraSection(anchor_px=ANCHOR, px_per_cm=SCALE, width_px=WIDTH, height_px=HEIGHT)
 _GRAIN = np.random.default_rng(11).normal(0.0, 90.0, (HEIGHT, WIDTH))
 BOARD = np.clip(70.0 + cv2.GaussianBlur(_GRAIN, (0, 0), 6.0), 25, 160)[:, :, None] * np.array([1.05, 1.0, 0.95])
-STEM, LEAF = (60, 190, 150), (50, 190, 60)
+LEAF = (50, 190, 60)
 
 
 def board(number: int) -> np.ndarray:
     picture = BOARD + np.random.default_rng(number).normal(0.0, 1.5, BOARD.shape)
     return np.clip(picture, 0, 255).astype(np.uint8)
-
-
-def drawn(picture: np.ndarray, line_cm: FloatArray, colour: tuple[int, int, int] = STEM, width: int = 5) -> np.ndarray:
-    px = np.array(ANCHOR) + line_cm * np.array([SCALE, -SCALE])
-    cv2.polylines(picture, [np.rint(16 * px).astype(np.int32)], False, colour, width, cv2.LINE_AA, 4)
-    return picture
 
 
 def tracker() -> PathTracker:
@@ -49,11 +40,6 @@ def hooked(height_cm: float, radius_cm: float, turn_rad: float) -> FloatArray:
     t = np.linspace(0.0, turn_rad, 40)[1:]
     bend = np.column_stack([radius_cm * (1.0 - np.cos(t)), height_cm + radius_cm * np.sin(t)])
     return np.concatenate([upright(height_cm), bend])
-
-
-def tip_error_mm(reading: StemReading, line_cm: FloatArray) -> float:
-    assert reading.points_cm is not None
-    return 10.0 * math.dist(reading.points_cm[-1], line_cm[-1])
 
 
 @pytest.mark.parametrize("radius_cm", [0.35, 0.5, 0.8])

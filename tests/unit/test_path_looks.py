@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
+from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, drawn, tip_error_mm
 
 from flora_common.geometry import FloatArray
-from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import along_line
@@ -17,11 +16,8 @@ from flora_common.vision.path.looks import has_neck, leaf_from
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.tip import find_tip, round_bends
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.reading import OCCLUDED, OK, StemReading
+from flora_common.vision.reading import OCCLUDED, OK
 
-WIDTH, HEIGHT, SCALE = 480, 400, 20.0
-ANCHOR = (240.0, 385.0)
-CAMERA = CameraSection(anchor_px=ANCHOR, px_per_cm=SCALE, width_px=WIDTH, height_px=HEIGHT)
 STEM, LEAF, SHADED, FAINT = (90, 200, 190), (40, 120, 55), (55, 122, 116), (58, 85, 90)
 Tone = tuple[int, int, int]
 
@@ -30,12 +26,6 @@ def board(number: int) -> np.ndarray:
     picture = np.full((HEIGHT, WIDTH, 3), (48.0, 55.0, 66.0))
     picture += np.random.default_rng(number).normal(0.0, 1.5, picture.shape)
     return np.clip(picture, 0, 255).astype(np.uint8)
-
-
-def drawn(picture: np.ndarray, line_cm: FloatArray, colour: Tone, width: int) -> np.ndarray:
-    px = np.array(ANCHOR) + line_cm * np.array([SCALE, -SCALE])
-    cv2.polylines(picture, [np.rint(16 * px).astype(np.int32)], False, colour, width, cv2.LINE_AA, 4)
-    return picture
 
 
 def tracker() -> PathTracker:
@@ -64,23 +54,18 @@ def sampler(picture: np.ndarray) -> Sampler:
     return Sampler(tracker().look(picture).evidence)
 
 
-def off_mm(reading: StemReading, line_cm: FloatArray) -> float:
-    assert reading.points_cm is not None
-    return 10.0 * math.dist(reading.points_cm[-1], line_cm[-1])
-
-
 @pytest.mark.parametrize("long_cm", [1.2, 1.6])
 @pytest.mark.parametrize("radius_cm", [0.8, 1.0])
 def test_a_hook_is_not_left_for_a_darker_greener_leaf_on_its_top(long_cm: float, radius_cm: float) -> None:
     line = hook(6.0, radius_cm, 2.7)
     picture = drawn(drawn(board(1), leaf_on(line, 74, long_cm, 0.25), LEAF, 3), line, STEM, 5)
-    assert off_mm(tracker().read(picture, 0.0), line) < 3.0
+    assert tip_error_mm(tracker().read(picture, 0.0), line) < 3.0
 
 
 def test_an_end_that_is_a_leaf_is_told() -> None:
     picture = drawn(drawn(board(1), upright(6.9, 7.9), LEAF, 5), upright(0.0, 7.0), STEM, 6)
     reading = tracker().read(picture, 0.0)
-    assert reading.outcome == OCCLUDED or off_mm(reading, upright(0.0, 7.0)) < 3.0
+    assert reading.outcome == OCCLUDED or tip_error_mm(reading, upright(0.0, 7.0)) < 3.0
 
 
 @pytest.mark.parametrize(("colour", "leaf"), [(LEAF, True), (SHADED, False), (STEM, False)])

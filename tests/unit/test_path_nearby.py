@@ -7,22 +7,19 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from path_fakes import ANCHOR, CAMERA, SCALE, tip_error_mm
 
 from bench.vision.figures import line_distances_mm
 from flora_common.geometry import FloatArray
-from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path import nearby
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.picture import Picture, decode_picture
-from flora_common.vision.reading import OK, StemReading
+from flora_common.vision.reading import OK
 from truth_run import twin_run
 
-SCALE = 20.0
-ANCHOR = (240.0, 385.0)
-CAMERA = CameraSection(anchor_px=ANCHOR, px_per_cm=SCALE, width_px=480, height_px=400)
 _GRAIN = np.random.default_rng(11).normal(0.0, 90.0, (400, 480))
 _BOARD = np.clip(70.0 + cv2.GaussianBlur(_GRAIN, (0, 0), 6.0), 25, 160)[:, :, None]
 LAMPS = {
@@ -68,11 +65,6 @@ def followed(count: int) -> PathTracker:
     for k in range(count):
         assert one.read(drawn(board(k), growing(k)), 300.0 * k).outcome == OK
     return one
-
-
-def tip_error_mm(reading: StemReading, line_cm: FloatArray) -> float:
-    assert reading.points_cm is not None
-    return 10.0 * float(np.hypot(*(reading.points_cm[-1] - line_cm[-1])))
 
 
 def test_the_whole_picture_is_looked_at_first_and_then_every_so_often() -> None:

@@ -67,8 +67,9 @@ def test_a_spline_is_exact_on_a_cubic_when_roughness_is_free() -> None:
     s = np.linspace(0.0, 100.0, 60)
     u = s / 100.0
     places = np.column_stack([3 * u**3 - 2 * u + 1, -4 * u**3 + u**2])
-    found = spline.fit(s, places, np.full(60, 1e4), knot_step=20.0, roughness=1e3)
-    assert found.at(s) == pytest.approx(places, abs=1e-4)
+    smoother = spline.Smoother(s, knot_step=20.0, roughness=1e3)
+    found = smoother.fit(places, np.full(60, 1e4))
+    assert smoother.places(found) == pytest.approx(places, abs=1e-4)
 
 
 def test_a_smooth_spline_crosses_a_gap_in_a_parabola_and_says_how_unsure_it_is() -> None:
@@ -76,9 +77,10 @@ def test_a_smooth_spline_crosses_a_gap_in_a_parabola_and_says_how_unsure_it_is()
     u = s / 100.0
     truth = np.column_stack([10 * u * (1 - u), 100 * u])
     weights = np.where((s > 40) & (s < 70), 0.0, 4.0)
-    found = spline.fit(s, truth, weights, knot_step=10.0, roughness=0.1)
-    assert np.abs(found.at(s) - truth).max() < 0.05
-    deviation = found.deviation(s)
+    smoother = spline.Smoother(s, knot_step=10.0, roughness=0.1)
+    found = smoother.fit(truth, weights)
+    assert np.abs(smoother.places(found) - truth).max() < 0.05
+    deviation = smoother.deviation(found)
     assert deviation[55] > 1.4 * deviation[30]
     assert deviation[(s > 42) & (s < 68)].min() > deviation[(s > 10) & (s < 30)].max()
 
@@ -88,13 +90,11 @@ def test_the_deviation_of_a_spline_agrees_with_random_trials() -> None:
     s = np.linspace(0.0, 60.0, 80)
     truth = np.column_stack([0.1 * s, s])
     weights = np.full(80, 1.0 / 0.5**2)
-    fits = [
-        spline.fit(s, truth + rng.normal(0.0, 0.5, truth.shape), weights, knot_step=12.0, roughness=1e3)
-        for _ in range(400)
-    ]
-    at = np.array([0.0, 17.0, 30.0, 60.0])
-    spread = np.stack([f.at(at)[:, 0] for f in fits]).std(axis=0)
-    assert fits[0].deviation(at) == pytest.approx(spread, rel=0.15)
+    smoother = spline.Smoother(s, knot_step=12.0, roughness=1e3)
+    fits = [smoother.fit(truth + rng.normal(0.0, 0.5, truth.shape), weights) for _ in range(400)]
+    at = [0, 22, 40, 79]
+    spread = np.stack([smoother.places(f)[at, 0] for f in fits]).std(axis=0)
+    assert smoother.deviation(fits[0])[at] == pytest.approx(spread, rel=0.15)
 
 
 def test_the_basis_sums_to_one_everywhere() -> None:

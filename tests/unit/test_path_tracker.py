@@ -9,9 +9,9 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, tip_error_mm
 
 from flora_common.errors import BadPicture
-from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup, from_background
 from flora_common.vision.path.likeness import Likeness, SetupLikeness
 from flora_common.vision.path.memory import Memory
@@ -20,10 +20,6 @@ from flora_common.vision.path.survey import Survey, Surveyor
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.reading import StemReading
 
-WIDTH, HEIGHT = 480, 400
-SCALE = 20.0
-ANCHOR = (240.0, 385.0)
-CAMERA = CameraSection(anchor_px=ANCHOR, px_per_cm=SCALE, width_px=WIDTH, height_px=HEIGHT)
 _GRAIN = np.random.default_rng(11).normal(0.0, 90.0, (HEIGHT, WIDTH))
 BOARD = np.clip(70.0 + cv2.GaussianBlur(_GRAIN, (0, 0), 6.0), 25, 160)[:, :, None] * np.array([1.05, 1.0, 0.95])
 
@@ -68,11 +64,6 @@ def same(a: StemReading, b: StemReading) -> bool:
     assert a.line_px is not None
     assert b.line_px is not None
     return a.points_cm.tobytes() == b.points_cm.tobytes() and a.line_px.tobytes() == b.line_px.tobytes()
-
-
-def tip_error_mm(reading: StemReading, line_cm: np.ndarray) -> float:
-    assert reading.points_cm is not None
-    return 10.0 * math.dist(reading.points_cm[-1], line_cm[-1])
 
 
 def test_a_swaying_stem_is_followed_to_a_fraction_of_a_millimetre() -> None:

@@ -11,9 +11,9 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
+from fake_clock import FakeClock
 from flora_common import recording
 from flora_common.bus import Arrival
-from flora_common.clock import FakeClock
 from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.messages import Message, Recording, Stem, Tick, encode
 from flora_common.recording import OPEN_SUFFIX, UNREADABLE, RecordingWriter

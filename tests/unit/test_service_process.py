@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
+from fake_clock import FakeClock
 from flora_bus.main import BusSection
 from flora_common.app import App
-from flora_common.clock import FakeClock
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
 from flora_common.log import SAME_KIND_S, Log

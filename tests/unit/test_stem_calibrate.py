@@ -188,13 +188,22 @@ def test_pictures_that_cannot_be_set_aside_are_one_line_and_status_1(
     assert (config.parent / "run" / "background" / "left-1.jpg").read_bytes() == b"x"
 
 
-@pytest.mark.parametrize("arguments", [["--each", "0"], ["--each", "x"], ["--timeout", "0"], ["--timeout", "inf"]])
-def test_numbers_that_make_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["calibrate", *arguments])
+@pytest.mark.parametrize(
+    ("option", "values", "told"),
+    [
+        ("--each", ["0", "51", "x", "1.5"], "must be 1 to 50"),
+        ("--timeout", ["0", "3601", "inf", "nan", "x"], "must be above 0, 3600 s at most"),
+    ],
+)
+def test_numbers_that_make_no_sense(
+    option: str, values: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for value in values:
+        with pytest.raises(SystemExit) as ended:
+            main(["calibrate", option, value])
 
-    assert ended.value.code == 2
-    assert "invalid" in capsys.readouterr().err
+        assert ended.value.code == 2
+        assert f"argument {option}: {told}\n" in capsys.readouterr().err
 
 
 def test_earlier_pictures_are_set_aside_and_none_is_lost(tmp_path: Path) -> None:

@@ -270,7 +270,7 @@ def test_every_operation_is_understood(eye: Rig) -> None:
     assert {fault.layer for fault in MENU.values()} == {"world", "rig"}
 
 
-def test_a_snapshot_goes_on_byte_for_byte(tmp_path: Path) -> None:
+def test_a_snapshot_goes_on_byte_for_byte() -> None:
     world = World(8)
     world.set_strips(RIGHT)
     world.set_flash(True)

@@ -24,7 +24,6 @@ from flora_uploader.config import SWITCHED_OFF, UploaderSection
 from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, _lock
 from flora_uploader.ledger_damage import LedgerProblem
 from flora_uploader.main import LEDGER_AGAIN_S, RESERVE_EVERY_S, build
-from flora_uploader.retention import DiskUse
 from flora_uploader.uploader import DISK_EVERY_S
 
 
@@ -48,12 +47,12 @@ class App(FakeApp):
 @pytest.fixture
 def roomy_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk of whoever runs these tests may be so full that the service is rightly degraded."""
-    monkeypatch.setattr(actions, "disk_use", lambda folder: DiskUse(percent_free=90.0))
+    monkeypatch.setattr(actions, "disk_percent_free", lambda folder: 90.0)
 
 
 def test_the_disk_is_watched_while_uploading_is_switched_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     percent_free = [20.5]
-    monkeypatch.setattr(actions, "disk_use", lambda folder: DiskUse(percent_free[-1]))
+    monkeypatch.setattr(actions, "disk_percent_free", lambda folder: percent_free[-1])
     app = App(tmp_path, "")
     build(app)  # type: ignore[arg-type]
     app.ready()

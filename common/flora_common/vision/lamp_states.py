@@ -28,7 +28,6 @@ Int16Array = npt.NDArray[np.int16]
 DARK_LEVEL: Final = 12.0
 """Level (of 255) below which the code turns linear: noise in the dark would otherwise look like contrast."""
 CODE_PER_NEPER: Final = 255.0 / float(np.log1p(255.0 / DARK_LEVEL))
-SATURATED: Final = 250
 COARSE: Final = 4
 """The first look at a picture is at this fraction of its size."""
 SAME_STATE: Final = 1.0

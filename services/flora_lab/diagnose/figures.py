@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.figure_parts import CHANCE, LAMP_TINTS, MEASURED, WIDE_IN, legend
 from flora_lab.diagnose.replayed import MM
 from flora_lab.diagnose.residuals import FINE_BINS, FINE_H, PERIODS_H, ResidualTables
@@ -24,6 +24,13 @@ _LOWEST_NATS: Final = -6.0
 """Bars of causes that are worse than this end here."""
 _LEAST_SWING_MM: Final = 0.1
 _CHANCE_SD: Final = 2.0
+GAIN_NAMES: Final = {
+    "base": "simulator as it is",
+    "extended": "extended simulator",
+    "boosted": "black box on top (boosting)",
+    "still": "“nothing moves”",
+}
+GAIN_COLOURS: Final = {"base": BLUE, "extended": ORANGE, "boosted": "#8f959b", "still": "#d3d7db"}
 
 
 def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
@@ -32,7 +39,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     left, right, clock = figure.subplots(1, 3)
     left.sharey(right)
     at = (np.arange(FINE_BINS) + 0.5) * FINE_H
-    for s, (ax, side) in enumerate(zip((left, right), told.SIDES, strict=True)):
+    for s, (ax, side) in enumerate(zip((left, right), statistics.SIDES, strict=True)):
         ax.set_facecolor(LAMP_TINTS[side])
         if base.reference is not None:
             _reference_band(ax, at, base.reference.by_switch_mm[base.plant][:, s])
@@ -46,7 +53,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         ax.axhline(0.0, color=MEASURED, linewidth=0.8)
         ax.tick_params(labelsize=8)
     left.set_ylabel("tip, measured minus simulated, mm\nleft  –  right", fontsize=9)
-    at = (np.arange(told.CLOCKS) + 0.5) * told.CLOCK_H
+    at = (np.arange(statistics.CLOCKS) + 0.5) * statistics.CLOCK_H
     if base.reference is not None:
         _reference_band(clock, at, base.reference.by_clock_mm_h[base.plant])
     _runs_and_mean(clock, at, base.shown.by_clock_mm_h[base.plant], BLUE)
@@ -76,11 +83,11 @@ def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
             continue
         profile = tables.shown.profile_mm[base.plant]
         stem.plot(profile.T, points, color=colour, linewidth=0.7, alpha=0.4)
-        stem.plot(np.sqrt(told.mean_over_runs(profile**2)), points, color=colour, linewidth=2.4)
+        stem.plot(np.sqrt(statistics.mean_over_runs(profile**2)), points, color=colour, linewidth=2.4)
         for run in tables.runs:
             error = np.hypot(*run.error_mm(base.plant)[:, -1].T)
             width = max(1, round(3.0 / run.step_h))
-            time.plot(run.time_h, told.smoothed(error, width), color=colour, linewidth=0.7, alpha=0.4)
+            time.plot(run.time_h, statistics.smoothed(error, width), color=colour, linewidth=0.7, alpha=0.4)
         time.plot(*_pooled(tables, base), color=colour, linewidth=2.4)
     stem.set_yticks(points, ["", *map(str, points[1:-1]), "tip"])
     stem.set_yticks([2], ["foot"], minor=True)
@@ -217,15 +224,6 @@ def gain(free_running: dict[str, dict[str, float]], one_step: dict[str, float]) 
     return png(figure)
 
 
-GAIN_NAMES: Final = {
-    "base": "simulator as it is",
-    "extended": "extended simulator",
-    "boosted": "black box on top (boosting)",
-    "still": "“nothing moves”",
-}
-GAIN_COLOURS: Final = {"base": BLUE, "extended": ORANGE, "boosted": "#8f959b", "still": "#d3d7db"}
-
-
 def _after(time: str) -> str:
     return "at the end" if time == "end" else f"after {time.removesuffix('h')} h"
 
@@ -234,16 +232,16 @@ def _pooled(tables: ResidualTables, base: ResidualTables) -> tuple[Array, Array]
     """Root mean square over runs of the tip's distance, over three hours, and when."""
     shortest = min(len(run.time_h) for run in tables.runs)
     squares = np.stack([(run.error_mm(base.plant)[:shortest, -1] ** 2).sum(axis=1) for run in tables.runs])
-    total = told.mean_over_runs(squares)
+    total = statistics.mean_over_runs(squares)
     run = tables.runs[0]
-    return run.time_h[:shortest], np.sqrt(told.smoothed(total, max(1, round(3.0 / run.step_h))))
+    return run.time_h[:shortest], np.sqrt(statistics.smoothed(total, max(1, round(3.0 / run.step_h))))
 
 
 def _reference_band(ax: Axes, at: Array, values: Array) -> None:
     """Two standard deviations of reference runs about none, where at least three of them tell."""
     known = np.isfinite(values).sum(axis=0) >= 3
     if known.any():
-        spread = _CHANCE_SD * np.sqrt(told.mean_over_runs(values[:, known] ** 2))
+        spread = _CHANCE_SD * np.sqrt(statistics.mean_over_runs(values[:, known] ** 2))
         ax.fill_between(at[known], -spread, spread, color=CHANCE, linewidth=0)
 
 
@@ -251,5 +249,5 @@ def _runs_and_mean(ax: Axes, at: Array, values: Array, colour: str) -> None:
     """A thin line for each run, a thick one for their mean where most of them tell."""
     ax.plot(at, values.T, color=colour, linewidth=0.7, alpha=0.45)
     known = np.isfinite(values)
-    mean = told.mean_over_runs(values)
+    mean = statistics.mean_over_runs(values)
     ax.plot(at, np.where(known.mean(axis=0) > 0.5, mean, np.nan), color=colour, linewidth=2.6)

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.replayed import PLANTS, Plant, Replayed
 from flora_lab.diagnose.residual_statistics import SIDES, Comparison, Group, rms
 from flora_lab.diagnose.rhythm import PERIODS_H, spectrum
@@ -80,7 +80,7 @@ def _size(looks: Looks, runs: Sequence[Replayed]) -> str:
     here = {p: rms(np.concatenate([np.hypot(*run.error_mm(p)[:, -1].T) for run in runs])) for p in PLANTS}
     usual = dict.fromkeys(PLANTS, "")
     if looks.reference is not None:
-        place = told.of_group("size")[0]
+        place = statistics.of_group("size")[0]
         logs = {p: looks.reference[p][:, place] for p in PLANTS}
         sizes = {p: mm(float(np.sqrt(np.mean(np.exp(2.0 * logs[p]))))) for p in PLANTS}
         usual = {"typical": f" (reference runs: {sizes['typical']})", "own": f" (reference runs: {sizes['own']})"}
@@ -117,25 +117,25 @@ def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> li
 
 def _score(looks: Looks, story: Sequence[Group]) -> float:
     """How much stands out there: in standard errors, or without reference runs in rough units of what is usual."""
-    places = np.concatenate([told.of_group(group) for group in story])
+    places = np.concatenate([statistics.of_group(group) for group in story])
     if looks.compared is not None:
-        both = np.concatenate([looks.compared.away[places], looks.compared.away[places + told.COUNT]])
+        both = np.concatenate([looks.compared.away[places], looks.compared.away[places + statistics.COUNT]])
         return float(np.nan_to_num(np.abs(both)).max())
     usual = {"sideways": 5.0, "lean": 5.0, "growth": 0.3, "height": 8.0, "swing": np.inf}[story[0]]
     numbers = looks.numbers[looks.clearer_plant][:, places]
-    return float(np.nan_to_num(np.abs(told.mean_over_runs(numbers))).max() / usual)
+    return float(np.nan_to_num(np.abs(statistics.mean_over_runs(numbers))).max() / usual)
 
 
 def _means(numbers: Array, group: Group) -> Array:
     """Over runs; 0 where no run tells."""
-    return np.nan_to_num(told.mean_over_runs(numbers[:, told.of_group(group)]))
+    return np.nan_to_num(statistics.mean_over_runs(numbers[:, statistics.of_group(group)]))
 
 
 def _differ(looks: Looks, group: Group) -> str:
     """How far plants differ in these numbers anyway."""
     if looks.reference is None:
         return ""
-    known = looks.reference[looks.clearer_plant][:, told.of_group(group)]
+    known = looks.reference[looks.clearer_plant][:, statistics.of_group(group)]
     spread = rms(known)
     unit = "mm/h" if group == "growth" else "mm"
     return f"; reference plants differ by {_number(spread)} {unit}"
@@ -152,7 +152,8 @@ def _to(value_mm: float) -> str:
 def _sideways(looks: Looks) -> str:
     """Left or right, under which lamp, how long after a switch, and whether it grows with the plant."""
     by = _means(looks.numbers[looks.clearer_plant], "sideways").reshape(len(SIDES), -1)
-    seen = np.isfinite(looks.numbers[looks.clearer_plant][:, told.of_group("sideways")]).any(axis=0).reshape(by.shape)
+    sideways = looks.numbers[looks.clearer_plant][:, statistics.of_group("sideways")]
+    seen = np.isfinite(sideways).any(axis=0).reshape(by.shape)
     count = np.maximum(seen.sum(axis=1), 1)
     left, right = by.sum(axis=1) / count
     larger = 0 if abs(left) > abs(right) else 1
@@ -194,8 +195,8 @@ def _growth(looks: Looks) -> str:
     fast, slow = int(np.argmax(rates)), int(np.argmin(rates))
     return (
         f"Counted from the start of each day, growth is {_number(rates[fast])} mm/h faster than simulated in hours "
-        f"{told.clock_label(fast).removesuffix(' h')} and {_number(-rates[slow])} mm/h slower in hours "
-        f"{told.clock_label(slow).removesuffix(' h')}{differ}."
+        f"{statistics.clock_label(fast).removesuffix(' h')} and {_number(-rates[slow])} mm/h slower in hours "
+        f"{statistics.clock_label(slow).removesuffix(' h')}{differ}."
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
-from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.diagnosis import Residuals
 from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.replayed import MM, PLANTS, Plant, Replayed, replayed
@@ -148,11 +148,11 @@ def residuals_of(
     known = reference.shown if reference is not None and len(reference.misfit) >= FEWEST_REFERENCE else None
     compared = None
     if known is not None:
-        groups = [told.of_group(group) for group in told.GROUPS]
-        compared = told.compared(
+        groups = [statistics.of_group(group) for group in statistics.GROUPS]
+        compared = statistics.compared(
             np.concatenate([shown.numbers["typical"], shown.numbers["own"]], axis=1),
             np.concatenate([known.numbers["typical"], known.numbers["own"]], axis=1),
-            [*groups, *(group + told.COUNT for group in groups)],
+            [*groups, *(group + statistics.COUNT for group in groups)],
         )
         p_value = min(1.0, 2.0 * min(p_by_fit, compared.p_value))
     looks = Looks(shown.numbers, None if known is None else known.numbers, compared, p_value, p_by_fit)
@@ -173,7 +173,7 @@ def _shown(runs: Sequence[Replayed]) -> Shown:
         return {plant: np.stack([numbers(run, plant) for run in runs]) for plant in PLANTS}
 
     swing_mm = np.stack([_swing_mm(run) for run in runs])
-    return Shown(each(told.numbers_of), each(_by_switch_mm), each(_by_clock_mm_h), each(_profile_mm), swing_mm)
+    return Shown(each(statistics.numbers_of), each(_by_switch_mm), each(_by_clock_mm_h), each(_profile_mm), swing_mm)
 
 
 def _swing_mm(run: Replayed) -> Array:
@@ -182,7 +182,7 @@ def _swing_mm(run: Replayed) -> Array:
     if len(own.per_hour) < _LINES:
         return np.full(len(PERIODS_H), np.nan)
     line = own.per_hour[1] - own.per_hour[0]
-    density = np.interp(1.0 / PERIODS_H, own.per_hour, told.smoothed(own.power, _LINES))
+    density = np.interp(1.0 / PERIODS_H, own.per_hour, statistics.smoothed(own.power, _LINES))
     return np.asarray(np.sqrt(4.0 * density * line * _LINES))
 
 
@@ -199,9 +199,9 @@ def _by_switch_mm(run: Replayed, plant: Plant) -> Array:
 
 
 def _by_clock_mm_h(run: Replayed, plant: Plant) -> Array:
-    rate = told.growth_error_mm_h(run, plant)
-    place = (run.time_h - 1e-9) % 24.0 // told.CLOCK_H
-    return np.array([mean(rate[place == k]) for k in range(told.CLOCKS)])
+    rate = statistics.growth_error_mm_h(run, plant)
+    place = (run.time_h - 1e-9) % 24.0 // statistics.CLOCK_H
+    return np.array([mean(rate[place == k]) for k in range(statistics.CLOCKS)])
 
 
 def _profile_mm(run: Replayed, plant: Plant) -> Array:
@@ -239,23 +239,23 @@ def _when(runs: Sequence[Replayed], shown: Shown, looks: Looks) -> dict[str, Any
     error = np.concatenate([run.error_mm("typical")[:, -1] for run in runs])
     height_cm = np.concatenate([run.measured_cm[:, -1, 1] for run in runs])
     time_h = np.concatenate([run.time_h for run in runs]) - 1e-9
-    rate = np.concatenate([told.growth_error_mm_h(run, "typical") for run in runs])
+    rate = np.concatenate([statistics.growth_error_mm_h(run, "typical") for run in runs])
 
     def part(rows: Array) -> dict[str, float | None]:
         chosen = error[rows]
         return _rounded(right_mm=mean(chosen[:, 0]), up_mm=mean(chosen[:, 1]), rms_mm=rms(np.hypot(*chosen.T)))
 
     clocks = {}
-    for k in range(told.CLOCKS):
-        rows = (time_h % 24.0) // told.CLOCK_H == k
-        clocks[told.clock_label(k)] = {**part(rows), **_rounded(growth_mm_per_h=mean(rate[rows]))}
+    for k in range(statistics.CLOCKS):
+        rows = (time_h % 24.0) // statistics.CLOCK_H == k
+        clocks[statistics.clock_label(k)] = {**part(rows), **_rounded(growth_mm_per_h=mean(rate[rows]))}
     heights = {}
-    for k, low_cm in enumerate(told.HEIGHTS_CM[:-1]):
-        heights[told.height_label(k)] = part((height_cm >= low_cm) & (height_cm < told.HEIGHTS_CM[k + 1]))
-    sideways = shown.numbers["typical"][:, told.of_group("sideways")].reshape(len(runs), len(SIDES), -1)
+    for k, low_cm in enumerate(statistics.HEIGHTS_CM[:-1]):
+        heights[statistics.height_label(k)] = part((height_cm >= low_cm) & (height_cm < statistics.HEIGHTS_CM[k + 1]))
+    sideways = shown.numbers["typical"][:, statistics.of_group("sideways")].reshape(len(runs), len(SIDES), -1)
     since = {
         f"{side} lamp": {
-            told.since_label(k): _rounded(right_mm=mean(sideways[:, s, k])) for k in range(sideways.shape[2])
+            statistics.since_label(k): _rounded(right_mm=mean(sideways[:, s, k])) for k in range(sideways.shape[2])
         }
         for s, side in enumerate(SIDES)
     }
@@ -263,7 +263,7 @@ def _when(runs: Sequence[Replayed], shown: Shown, looks: Looks) -> dict[str, Any
         "since_switch": since,
         "hours_of_the_day_from_the_start": clocks,
         "height": heights,
-        "age": {f"day {day + 1}": part(time_h // 24.0 == day) for day in range(told.DAYS)},
+        "age": {f"day {day + 1}": part(time_h // 24.0 == day) for day in range(statistics.DAYS)},
         "one_step": _one_step(runs),
         "runs": {run.name: _rounded(rms_mm=rms(_tip_mm(run, "typical"))) for run in runs},
         "p_value": looks.p_value,

@@ -67,7 +67,6 @@ class Swing:
         coherence_h: over which it keeps its phase.
         evidence: in nats, for it and against none, after what looking cost.
         period_interval_h, amplitude_interval_cm: of 90 %.
-        amplitudes_cm: of each run alone.
     """
 
     period_h: float

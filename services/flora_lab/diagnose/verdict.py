@@ -38,10 +38,22 @@ WIDER: Final = 1.3
 """Intervals are wider than Laplace's by this, and by :data:`LAW_SHARE` of the effect: the law is not the plant."""
 LAW_SHARE: Final = 0.04
 _90: Final = 1.645
+_LEAST_SD: Final = 0.10
+"""Added to the spread of what reference runs leave, in nats: a few may be alike by chance."""
 _LEFT_P: Final = 0.003
 _MOSTLY: Final = 0.6
 _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
+_ABOUT_H: Final = 6
+"""What is left is averaged over so many hours to say when it is most."""
+_FEATURE_WORDS: Final = (
+    "where the tip is sideways",
+    "how high the tip is",
+    "the stem at two thirds of its height",
+    "the stem at a third of its height",
+    "the foot of the stem",
+)
+"""In the order of :data:`flora_lab.diagnose.scene.FEATURES`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +101,6 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
     return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained, explanation.unnamed)
 
 
-_LEAST_SD: Final = 0.10
-
-
 def left_words(left: Left, explanation: Explanation, known: Knowledge) -> str:
     """What is left, in sentences; empty where it is no more than usual."""
     if not left.is_much:
@@ -119,19 +128,9 @@ def left_words(left: Left, explanation: Explanation, known: Knowledge) -> str:
         f"It is most in {scene.run.name}, about {scene.time_h[at]:.0f} h after its start "
         f"({smooth[at] / base:.0f} times the usual), with the tip at {_height_cm(scene, at):.0f} cm."
     )
-    by_feature = [float(squares[scene.feature == f].mean()) for f in range(len(_PLACES))]
-    told.append(f"It shows most in {_PLACES[int(np.argmax(by_feature))]}.")
+    by_feature = [float(squares[scene.feature == f].mean()) for f in range(len(_FEATURE_WORDS))]
+    told.append(f"It shows most in {_FEATURE_WORDS[int(np.argmax(by_feature))]}.")
     return " ".join(told)
-
-
-_ABOUT_H: Final = 6
-_PLACES: Final = (
-    "where the tip is sideways",
-    "how high the tip is",
-    "the stem at two thirds of its height",
-    "the stem at a third of its height",
-    "the foot of the stem",
-)
 
 
 def _height_cm(scene: Scene, window: int) -> float:

@@ -1,22 +1,18 @@
 """Evolved networks as controller files, and back: what was evolved and what the rig runs decide alike, to the bit.
 
-A rig evaluates :class:`flora_common.network.Network`; evolution may ask neat-python's ``FeedForwardNetwork``. Both do
-the same operations in the same order. What either is fed is made by the one
-:meth:`flora_common.controller_file.LoadedController.values` that the rig uses.
+A rig evaluates :class:`flora_common.network.Network`, which does the operations of neat-python's ``FeedForwardNetwork``
+in the same order, on what :meth:`flora_common.controller_file.LoadedController.values` makes of stem and scenario.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol
 
 import msgspec
-from neat.activations import ActivationFunctionSet
-from neat.aggregations import AggregationFunctionSet
 from neat.export.json_format import FORMAT_VERSION, get_function_info
-from neat.nn import FeedForwardNetwork
 
 from flora_common import controller_file
 from flora_common.controller_file import (
@@ -25,10 +21,8 @@ from flora_common.controller_file import (
     ControllerFile,
     InputScale,
     LoadedController,
-    parse_controller,
 )
 from flora_common.geometry import FloatArray
-from flora_common.network import NotFinite
 from flora_common.network_export import FunctionName, NetworkExport, NetworkLink, NetworkNode, Topology
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import Obstacle, Target
@@ -40,8 +34,6 @@ SCALE_CM: Final = 25.0
 INPUTS: Final = tuple(InputScale(name, 0.0, SCALE_CM) for name in INPUT_NAMES)
 """How evolved networks are fed: the paper's 26 numbers in its order."""
 
-_ACTIVATIONS: Final = ActivationFunctionSet()
-_AGGREGATIONS: Final = AggregationFunctionSet()
 _INPUT_ACTIVATION: Final = FunctionName("identity")
 _INPUT_AGGREGATION: Final = FunctionName("none")
 
@@ -72,22 +64,6 @@ class FromFile:
         return output
 
 
-@dataclass(frozen=True, slots=True)
-class Fed:
-    """Any function of the scaled inputs, fed as a controller file says.
-
-    Attributes:
-        feed: whose inputs, order and scale; its network is not asked.
-        network: from the scaled inputs, 26 where ``feed`` names all, to C.
-    """
-
-    feed: LoadedController
-    network: Callable[[Sequence[float]], float]
-
-    def output(self, points_cm: FloatArray, target: Target, obstacle: Obstacle) -> float:
-        return self.network(self.feed.values(points_cm.tolist(), target, obstacle))
-
-
 def export_of(network: Any) -> NetworkExport:
     """neat-python's JSON export of its ``FeedForwardNetwork``, without the time of day that it adds.
 
@@ -105,36 +81,6 @@ def export_of(network: Any) -> NetworkExport:
     inputs, outputs = list(network.input_nodes), list(network.output_nodes)
     topology = Topology(len(inputs), len(outputs), inputs, outputs)
     return NetworkExport(FORMAT_VERSION, "feedforward", {}, topology, nodes, links)
-
-
-def neat_network(loaded: LoadedController) -> Any:
-    """neat-python's ``FeedForwardNetwork`` of a controller file, nodes and links in the file's evaluation order."""
-    evals = [
-        (
-            node.key,
-            _ACTIVATIONS.get(node.activation),
-            _AGGREGATIONS.get(node.aggregation),
-            node.bias,
-            node.response,
-            list(node.links),
-        )
-        for node in loaded.network.nodes
-    ]
-    return FeedForwardNetwork(list(loaded.network.inputs), list(loaded.network.outputs), evals)
-
-
-def asked_as_neat_does(loaded: LoadedController) -> Fed:
-    """A controller whose network neat-python evaluates, with all that it makes of a value that is not finite."""
-    network = neat_network(loaded)
-
-    def ask(values: Sequence[float]) -> float:
-        try:
-            (output,) = network.activate(values)
-        except OverflowError as problem:
-            raise NotFinite("a node grows beyond all numbers") from problem
-        return float(output)
-
-    return Fed(loaded, ask)
 
 
 def task_of(task: Task) -> controller_file.Task:
@@ -179,19 +125,3 @@ def controller_bytes(
         serial=serial,
     )
     return (json.dumps(msgspec.to_builtins(file), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-
-
-def controller_of(
-    network: Any, task: Task, *, name: str = "evolved", provenance: Mapping[str, str | int | float | bool] | None = None
-) -> LoadedController:
-    """neat-python's ``FeedForwardNetwork`` as a controller file that has passed all of the rig's checks.
-
-    Args:
-        network: of 26 inputs and one output.
-        task, name, provenance: see :func:`controller_bytes`.
-
-    Raises:
-        BadController: a network that the rig would refuse.
-    """
-    data = controller_bytes(name, export_of(network), task, provenance or {})
-    return parse_controller(data, where=name)

@@ -1,4 +1,4 @@
-"""A controller steers a simulated plant: the plain reference, one episode after the other or many side by side.
+"""A controller steers a simulated plant: the plain reference, step by step.
 
 Wahby et al. 2018, section "Evolutionary approach": every five minutes the controller is asked; C <= 0.5 lights the left
 lamp, otherwise the right; a run ends when the tip is about 21 cm high or the plant touches the obstacle, and fitness is
@@ -10,7 +10,6 @@ fitness than a plant that never grew.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -24,7 +23,6 @@ from flora_common.geometry import FloatArray
 from flora_common.network import NotFinite
 from flora_common.runs import LEVELS, Light
 from flora_common.shapes import Obstacle, Target
-from flora_lab.evolve import scenario_batch
 from flora_lab.evolve.controllers import Controller
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.simulator.interface import Chance, Simulator
@@ -38,9 +36,6 @@ NO_ANSWER_FITNESS: Final = 0.0
 REASONS: Final[tuple[Reason, ...]] = ("collision", "height", "time", "no answer")
 """In the order in which they count where several hold; :class:`Outcomes` gives their places."""
 COLLISION, HEIGHT, TIME, NO_ANSWER = range(len(REASONS))
-_RUNNING: Final = -1
-AT_ONCE: Final = 256
-"""Episodes side by side; what comes out does not depend on it."""
 _SIDES: Final = np.array([LEVELS["left"], LEVELS["right"]])
 
 
@@ -77,12 +72,6 @@ class Course:
     @property
     def hours(self) -> float:
         return self.steps * STEP_S / 3600.0
-
-    @property
-    def first_in_target(self) -> int | None:
-        """After how many steps the tip was in the target's circle for the first time; None where it never was."""
-        inside = [self.scenario.target.contains(x, y) for x, y in self.stems_cm[:, -1].tolist()]
-        return inside.index(True) if True in inside else None
 
     @property
     def clearance_cm(self) -> float:
@@ -189,87 +178,3 @@ def _check_finite(stems_cm: FloatArray, task: Task, scenario: Scenario, steps: i
             f"the simulator gives a stem that is not finite, task {task.name}, scenario {scenario.name}, after "
             f"{steps * STEP_S / 3600.0:.1f} h; train it again or take another one"
         )
-
-
-def run_episodes(
-    controllers: Sequence[Controller], simulator: Simulator[Any], task: Task, seeds: Sequence[int] | None = None
-) -> Outcomes:
-    """Every controller in every scenario on every plant: each the same as :func:`run_episode` gives for it alone.
-
-    Args:
-        controllers: whom.
-        simulator: of the plant.
-        task: scenarios, start and end.
-        seeds: one for each plant that is drawn; the typical plant alone where None.
-
-    Raises:
-        BadInput: see :func:`run_episode`.
-    """
-    shape = (len(controllers), len(task.scenarios), 1 if seeds is None else len(seeds))
-    out = Outcomes(
-        np.empty(shape),
-        np.full(shape, _RUNNING, dtype=np.int8),
-        np.zeros(shape, dtype=np.int64),
-        np.empty((*shape, 2)),
-        np.zeros((*shape, task.most_steps), dtype=np.bool_),
-    )
-    lanes = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
-    for first in range(0, len(lanes), AT_ONCE):
-        part = lanes[first : first + AT_ONCE]
-        chance = None if seeds is None else Chance(np.array(seeds)[part[:, 2]])
-        _side_by_side(controllers, simulator, task, part, chance, out)
-    return out
-
-
-def _side_by_side(
-    controllers: Sequence[Controller],
-    simulator: Simulator[Any],
-    task: Task,
-    lanes: Array,
-    chance: Chance | None,
-    out: Outcomes,
-) -> None:
-    """Some episodes until the last has ended; one that has ended is simulated on, and no more looked at.
-
-    Args:
-        controllers, simulator, task: see :func:`run_episodes`.
-        lanes: controller, scenario and plant of each, shape (batch, 3).
-        chance: of each.
-        out: written.
-    """
-    arrays = scenario_batch.arrays_of(task)
-    state = simulator.start(np.repeat(task.start_stem_cm[None], len(lanes), axis=0), chance)
-    stems = simulator.stems_cm(state)
-    right = np.zeros(len(lanes), dtype=np.bool_)
-    running = np.arange(len(lanes))
-    for k in range(task.most_steps + 1):
-        for lane in running[~np.isfinite(stems[running]).all(axis=(1, 2))]:
-            _check_finite(stems[lane], task, task.scenarios[lanes[lane, 1]], k)
-        hit = scenario_batch.collide(stems[running], arrays.edges[lanes[running, 1]])
-        high = stems[running, -1, 1] >= task.stop_height_cm
-        over = TIME if k >= task.most_steps else _RUNNING
-        reason = np.where(hit, COLLISION, np.where(high, HEIGHT, over))
-        for place in np.flatnonzero(reason == _RUNNING):
-            lane = running[place]
-            who, where, _ = lanes[lane]
-            output = _answer(controllers[who], stems[lane], task.scenarios[where])
-            if output is None:
-                reason[place] = NO_ANSWER
-            else:
-                right[lane] = output > LEFT_AT_MOST
-        ended = running[reason != _RUNNING]
-        _write(ended, reason[reason != _RUNNING], k, stems[ended, -1], task, lanes, out)
-        running = running[reason == _RUNNING]
-        if not len(running):
-            return
-        out.is_right[(*lanes[running].T, k)] = right[running]
-        state, stems = simulator.step(state, _SIDES[right.astype(np.int64)], STEP_S)
-
-
-def _write(
-    ended: Array, reason: Array, steps: int, tips_cm: FloatArray, task: Task, lanes: Array, out: Outcomes
-) -> None:
-    at = tuple(lanes[ended].T)
-    targets = scenario_batch.arrays_of(task).targets
-    out.fitness[at] = scored(task, scenario_batch.fitness(tips_cm, targets[lanes[ended, 1]]), reason)
-    out.reason[at], out.steps[at], out.tip_cm[at] = reason, steps, tips_cm

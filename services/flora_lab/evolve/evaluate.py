@@ -57,7 +57,7 @@ def evaluate(
     share: bool = True,
     threads: int = 1,
 ) -> Evaluated:
-    """Every genome in every scenario on every plant, as :func:`flora_lab.evolve.episode.run_episodes` does it.
+    """Every genome in every scenario on every plant, as :func:`flora_lab.evolve.episode.run_episode` does each.
 
     Growing simulators give the same to the last bit; the paper's the same but for rounding.
 

@@ -1,4 +1,4 @@
-"""Networks in flat arrays, asked one after another: the plain reference, and the functions that faster kernels share.
+"""Networks as compiled code takes them, and the functions of their nodes, which all kernels share.
 
 Source of the functions: neat-python 2.0.0, ``neat/activations.py`` and ``neat/aggregations.py``.
 """
@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.network import MAX_NUMBER
 from flora_lab.evolve.genome_arrays import GenomeArrays
 from flora_lab.evolve.neat_genes import ACTIVATION_NUMBERS, AGGREGATION_NUMBERS
 from flora_lab.simulator.rod import jit
@@ -64,59 +63,6 @@ def networks_of(arrays: GenomeArrays, first: int = 0, end: int | None = None) ->
         arrays.source,
         arrays.weight,
     )
-
-
-def activate(arrays: GenomeArrays, inputs: npt.ArrayLike) -> Array:
-    """Ask every network.
-
-    Args:
-        arrays: G networks.
-        inputs: shape (I,) for all, or (G, I), already scaled.
-
-    Returns:
-        Shape (G, number of outputs); NaN where a network has no answer: an input that is not finite or larger than
-        ``MAX_NUMBER``, or a node whose sum or value is not finite.
-
-    Raises:
-        ValueError: another shape of inputs.
-    """
-    values = np.asarray(inputs, dtype=np.float64)
-    if values.shape not in ((arrays.inputs,), (len(arrays), arrays.inputs)):
-        raise ValueError(f"inputs of shape {values.shape} for {len(arrays)} networks of {arrays.inputs} inputs")
-    values = np.ascontiguousarray(np.broadcast_to(values, (len(arrays), arrays.inputs)))
-    return np.asarray(_activate_all(values, networks_of(arrays), np.empty(arrays.slots)))
-
-
-@jit
-def _activate_all(inputs: Array, networks: Networks, slots: Array) -> Array:
-    output = networks.output
-    answers = np.empty(output.shape)
-    width = inputs.shape[1]
-    for g in range(len(inputs)):
-        is_sound = True
-        for i in range(width):
-            slots[i] = inputs[g, i]
-            # written so that NaN fails it too
-            is_sound = is_sound and abs(inputs[g, i]) <= MAX_NUMBER
-        is_sound = is_sound and _fill_slots(g, width, networks, slots)
-        for o in range(output.shape[1]):
-            answers[g, o] = slots[output[g, o]] if is_sound else np.nan
-    return answers
-
-
-@jit
-def _fill_slots(g: int, inputs: int, networks: Networks, slots: Array) -> bool:
-    """Evaluate network g, whose inputs stand in the first slots; False as soon as a node is not finite."""
-    first = networks.node_start[g]
-    for n in range(first, networks.node_start[g + 1]):
-        start, end = networks.edge_start[n], networks.edge_start[n + 1]
-        gathered = aggregate(networks.aggregation[n], slots, networks.source, networks.weight, start, end)
-        before = networks.bias[n] + networks.response[n] * gathered
-        value = activation_value(networks.activation[n], before)
-        if not (np.isfinite(before) and np.isfinite(value)):
-            return False
-        slots[inputs + n - first] = value
-    return True
 
 
 @jit

@@ -1,4 +1,4 @@
-"""Genomes of any feed-forward topology as flat arrays, for compiled code; and the plain reference that reads them.
+"""Genomes of any feed-forward topology as flat arrays, for compiled code.
 
 The arrays hold what ``neat.nn.FeedForwardNetwork.create`` would evaluate: nodes that an output depends on, each after
 those that it reads, and each node's incoming connections in neat-python's order, which is the order of adding up. So

@@ -1,9 +1,9 @@
 """What networks decide, several scenarios of one network side by side: left, right, or no answer.
 
-The decisions are those of :func:`flora_lab.evolve.genome_activate.activate`, to the bit. A sum goes on in one order, in
-which each addition waits for the one before, so that four lanes cost little more than one. And C itself is not needed:
-the output node's sigmoid is above 0.5 where what goes into it is above 0. Close to 0, where rounding decides, C is
-computed.
+The decisions are those of each network asked alone, one node after the other, to the bit. A sum goes on in one order,
+in which each addition waits for the one before, so that four lanes cost little more than one. And C itself is not
+needed: the output node's sigmoid is above 0.5 where what goes into it is above 0. Close to 0, where rounding decides, C
+is computed.
 """
 
 from __future__ import annotations

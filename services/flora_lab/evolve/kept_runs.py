@@ -155,7 +155,7 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
         return self.path / f"run-{number:02d}.json"
 
     def _read_time(self) -> Worked:
-        """None where nothing was kept yet."""
+        """No work at all where nothing was kept yet."""
         path = self.path / TIME_FILE
         try:
             return msgspec.json.decode(path.read_bytes(), type=Worked)

@@ -20,7 +20,9 @@ class RunSummary:
     """What a run came to. Fitness and collision are None where run.toml states no target or obstacle.
 
     Attributes:
+        run: ``run.toml``.
         frames: photographs of the run.
+        track: ``track.csv``.
         readings: those in which a stem was found.
         hours: from the first photograph to the last.
         stop_row, ended, fitness_over_time, fitness_at_stop, best_fitness, fitness_at_target, reached_h, collided_h,

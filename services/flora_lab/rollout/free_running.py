@@ -24,7 +24,7 @@ AT_ONCE: Final = 4096
 """Plants in one batch, to keep memory small; what comes out does not depend on it."""
 NO_START: Final = -1
 
-BoolArray = npt.NDArray[Any]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

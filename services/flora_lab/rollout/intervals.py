@@ -49,14 +49,6 @@ class Estimate:
     high: float | None
     plants: int
 
-    def is_below(self, bound: float) -> bool:
-        """Whether the whole interval is below a bound."""
-        return self.high is not None and self.high < bound
-
-    def is_above(self, bound: float) -> bool:
-        """Whether the whole interval is above a bound."""
-        return self.low is not None and self.low > bound
-
 
 def by_plant(values: FloatArray, plants: Sequence[str]) -> FloatArray:
     """One number for each plant: the median of what there is of it.

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from flora_common.geometry import FloatArray
 
 StateT = TypeVar("StateT")
-IntArray = npt.NDArray[Any]
+IntArray = npt.NDArray[np.int64]
 
 Covariates = Mapping[str, FloatArray]
 """Name (such as ``temperature_c``) to one value per plant, shape (batch,)."""

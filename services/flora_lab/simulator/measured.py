@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
@@ -14,6 +15,9 @@ from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.stem_range import lengths_cm
 from flora_lab.run_tracks import RunTrack
+from flora_lab.simulator.interface import IntArray
+
+BoolArray = npt.NDArray[np.bool_]
 
 STEP_S: Final = 300.0
 NEAR_SHARE: Final = 0.35
@@ -77,8 +81,8 @@ class MeasuredRun:
         return float(self.time_s[-1] - self.time_s[0]) / 3600.0
 
     @property
-    def is_measured(self) -> FloatArray:
-        """Which rows hold a stem, shape (n,), bool."""
+    def is_measured(self) -> BoolArray:
+        """Which rows hold a stem, shape (n,)."""
         return np.isfinite(self.points_cm[:, -1, 0])
 
     def mirrored(self) -> MeasuredRun:
@@ -157,7 +161,7 @@ class Batch:
 
     points_cm: FloatArray
     light: FloatArray
-    rows: FloatArray
+    rows: IntArray
     covariates: Mapping[str, FloatArray]
     step_s: float
 

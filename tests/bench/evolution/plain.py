@@ -12,11 +12,12 @@ from neat.nn import FeedForwardNetwork
 
 from flora_common import geometry
 from flora_common.controller_file import LEFT_AT_MOST
-from flora_lab.evolve.controllers import SCALE_CM, asked_as_neat_does, controller_of
+from flora_lab.evolve.controllers import SCALE_CM
 from flora_lab.evolve.episode import REASONS, run_episode
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, PaperSimulator
+from lab.evolve_reference import asked_as_neat_does, controller_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,9 @@ from flora_common.vision.path.sampler import Sampler, arc_length, places_along
 from flora_common.vision.path.tip import Tip, find_tip
 
 USABLE: Final = 0.08
-"""How likely an apex is at least where its way is taken,"""
+"""How likely an apex is at least where its way is taken."""
 SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
-"""where it is believed by itself, where the rules come to it but doubt it, and where it was plain to see before."""
+"""The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
 KEEPS, KEEPS_CM = 3.0, 1.0
 """An apex where it was before counts by up to so much more, and one farther off than this by nothing."""
 RIVAL_SHARE: Final = 0.6
@@ -39,9 +39,10 @@ ONWARDS_CM: Final = 0.5
 SAME_TIP_CM: Final = 0.19
 """Where the rules end as near as this to the network, the tip lies half-way between."""
 SHORT_CM, HEADING_CM = 0.04, 0.3
-"""So far the network's apex lies before the end of a stem of which it is sure, along its last part, so long;"""
+"""By the first the network's apex lies short of the end of a stem of which it is sure, in the direction of the last
+piece of its way, which is as long as the second."""
 SHORT_FROM, SHORT_WHOLE = 0.2, 0.35
-"""of one of which it is not, less, from the first likelihood to the second."""
+"""How likely an apex is from which on a part of :data:`SHORT_CM` counts, and from which on all of it."""
 APEX_ERROR_CM, UNSURE_ERROR_CM = 0.08, 0.3
 """Standard deviation of a sure apex along the stem, and what one in doubt has besides."""
 LOWER, WIDEST_CM, LEAST_WIDTH_PX = 0.6, 1.0, 1.5
@@ -72,9 +73,9 @@ def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_
     """Why the way may lead to another plant, or another part of this one; empty where nothing says so.
 
     Args:
-        way: that was chosen,
-        stem: along it,
-        others: of those that the network tells, itself among them.
+        way: that was chosen.
+        stem: measured along that way.
+        others: all ways that the network tells, the chosen one among them.
         px_per_cm: scale.
         is_first: nothing is known from pictures before.
     """

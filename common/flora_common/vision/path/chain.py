@@ -3,7 +3,6 @@
 A stem starts at the anchor, goes on smoothly, keeps its width, passes behind leaves, and ends freely; a petiole leaves
 it at an angle, is thinner, and ends in a leaf. Every chain of pieces from the anchor has a worth in centimetres: the
 length that is seen, less what must be believed to put the pieces together. A search over beams finds the best.
-
 """
 
 from __future__ import annotations

@@ -115,6 +115,7 @@ def with_tip(
         beyond: shape (n, 2), places that go on from there.
         sampler: of the picture.
         px_per_cm: scale.
+        unseen_cm: standard deviation, across the stem, of places where it was not seen.
     """
     rough, known, width, kept = _going_on(stem, safe, beyond)
     return _refined(

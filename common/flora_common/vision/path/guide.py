@@ -38,11 +38,11 @@ THINNED: Final = 2
 OFF_STEM: Final = 0.02
 """Likelihood that is added everywhere: how dear ways are where nothing looks like a stem."""
 NEAR_CM: Final = 0.6
-"""So far from where it was the apex is looked for,"""
+"""So far from where it was the apex is looked for."""
 NEAR_SEEN_CM: Final = 4.0
-"""and so much to all sides of the tip is seen."""
+"""So much to all sides of the tip is seen when the apex is looked for near where it was."""
 SEEN_CM: Final = 40.0
-"""The same of the anchor in a whole picture: no plant of a grow box reaches farther, and a hand does."""
+"""So much to all sides of the anchor is seen in a whole picture: no plant of a box reaches farther, and a hand does."""
 ABOUT_PEAK: Final = 2
 """Half a side of the square over which places are averaged, px of the maps."""
 SMOOTHED_OVER: Final = 2
@@ -102,8 +102,8 @@ class Maps:
     Args:
         evidence: of that part.
         px_per_cm: scale of the full picture.
-        about_px: what lies about this place, (x, y) px of the full picture,
-        within_cm: and no farther to any side, is wanted.
+        about_px: middle of the square that is wanted, (x, y) px of the full picture.
+        within_cm: half a side of that square.
     """
 
     def __init__(self, evidence: Evidence, px_per_cm: float, about_px: FloatArray, within_cm: float) -> None:

@@ -15,27 +15,15 @@ from flora_common.geometry import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spline:
-    """A curve in the plane over its parameter s.
+    """A curve in the plane; :class:`Smoother` tells its places.
 
     Attributes:
         coefficients: shape (k, 2).
         covariance: shape (k, k), of the coefficients for a measuring error of 1.
-        knot_step: distance of knots in s.
-        length: s at the end.
     """
 
     coefficients: FloatArray
     covariance: FloatArray
-    knot_step: float
-    length: float
-
-    def at(self, s: FloatArray) -> FloatArray:
-        """Places, shape (n, 2)."""
-        return np.asarray(basis(s, self.knot_step, len(self.coefficients)) @ self.coefficients, dtype=np.float64)
-
-    def deviation(self, s: FloatArray) -> FloatArray:
-        """Standard deviation per coordinate of :meth:`at`, shape (n,), for a measuring error of 1."""
-        return _deviation(basis(s, self.knot_step, len(self.coefficients)), self.covariance)
 
 
 def basis(s: FloatArray, knot_step: float, count: int) -> FloatArray:
@@ -56,50 +44,41 @@ def coefficients(length: float, knot_step: float) -> int:
     return max(4, int(np.ceil(length / knot_step)) + 3)
 
 
-def fit(
-    s: FloatArray, places: FloatArray, weights: FloatArray, *, knot_step: float, roughness: float | FloatArray
-) -> Spline:
-    """The spline that is near the places and smooth.
+class Smoother:
+    """Fits splines to places at the same s again and again.
 
     Args:
         s: shape (n,), from 0, rising.
-        places: shape (n, 2).
-        weights: shape (n,), one over the squared measuring error of each place; 0 leaves it out.
         knot_step: distance of knots.
         roughness: standard deviation that third differences of coefficients are believed to have, in units of places;
             one for all, or shape (:func:`coefficients` - 3,).
     """
-    return Smoother(s, knot_step=knot_step, roughness=roughness).fit(places, weights)
-
-
-class Smoother:
-    """Fits splines to places at the same s again and again; arguments as those of :func:`fit`."""
 
     def __init__(self, s: FloatArray, *, knot_step: float, roughness: float | FloatArray) -> None:
-        self._knot_step, self._length = knot_step, float(s[-1])
-        count = coefficients(self._length, knot_step)
+        count = coefficients(float(s[-1]), knot_step)
         self._basis = basis(s, knot_step, count)
         third = np.diff(np.eye(count), n=3, axis=0) / np.broadcast_to(roughness, count - 3)[:, None]
         self._penalty = third.T @ third
 
     def fit(self, places: FloatArray, weights: FloatArray) -> Spline:
-        """The spline that is near the places and smooth."""
+        """The spline that is near the places and smooth.
+
+        Args:
+            places: shape (n, 2).
+            weights: shape (n,), one over the squared measuring error of each place; 0 leaves it out.
+        """
         weighted = (self._basis * weights[:, None]).T
         normal = weighted @ self._basis + self._penalty
         # a trace of everything keeps the matrix whole where hardly anything was measured
         normal[np.diag_indices(len(normal))] += 1e-9 * max(1.0, float(normal.trace()))
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        return Spline(covariance @ (weighted @ places), covariance, self._knot_step, self._length)
+        return Spline(covariance @ (weighted @ places), covariance)
 
     def places(self, curve: Spline) -> FloatArray:
-        """:meth:`Spline.at` at the s of this one."""
+        """Where a curve is at s, shape (n, 2)."""
         return np.asarray(self._basis @ curve.coefficients, dtype=np.float64)
 
     def deviation(self, curve: Spline) -> FloatArray:
-        """:meth:`Spline.deviation` at the s of this one."""
-        return _deviation(self._basis, curve.covariance)
-
-
-def _deviation(b: FloatArray, covariance: FloatArray) -> FloatArray:
-    variance = ((b @ covariance) * b).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+        """Standard deviation per coordinate of :meth:`places`, shape (n,), for a measuring error of 1."""
+        variance = ((self._basis @ curve.covariance) * self._basis).sum(axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

@@ -50,6 +50,8 @@ SAMPLED, LEAST_OF_LEVEL = 4, 75
 """By one pixel in so many along either side, and only where there are so many."""
 MOST_SHIFT_PX: Final = 2.0
 """A camera that has moved farther than this has moved; less is believed and taken into account."""
+SATURATED: Final = 250
+"""In code units: a green of the empty setup from here on may be clipped, and its edges do not tell a shift."""
 LEAST_SHIFT_PX: Final = 0.04
 """Less changes the evidence of the sharpest edges by half a code unit, which noise does, too."""
 CHANGED: Final = 40.0
@@ -195,7 +197,7 @@ class _Empty:
         self.green = np.ascontiguousarray(state.coarse[..., 1])
         self.gradient = gradient(state.coarse)
         x, y = (np.ascontiguousarray(g[..., 1]) for g in self.gradient)
-        self._edges = np.flatnonzero(((np.abs(x) > 4) | (np.abs(y) > 4)) & (self.green < 250))
+        self._edges = np.flatnonzero(((np.abs(x) > 4) | (np.abs(y) > 4)) & (self.green < SATURATED))
         self._x, self._y = x.ravel()[self._edges], y.ravel()[self._edges]
         self._step = 256 // LEVELS
         band = (self.green[::SAMPLED, ::SAMPLED] // self._step).ravel()

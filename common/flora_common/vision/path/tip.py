@@ -268,8 +268,8 @@ def _last_sure(stem: Stem, upto: int) -> int:
     found = np.flatnonzero(run)
     if found.size == 0:
         return max(1, int(0.6 * len(stem.line)))
-    # the light of a leaf beside the stem moves its edges before it hides them
-    back = round(1 * float(stem.width[found[-1]]) / STEP_PX)
+    # the light of a leaf beside the stem moves its edges, by up to a width before it hides them
+    back = round(float(stem.width[found[-1]]) / STEP_PX)
     return max(2, int(found[-1]) + CLEAN_RUN - 1 - back)
 
 
