@@ -19,6 +19,7 @@ from flora_common.errors import BadRunFolder, StoreError
 from flora_common.files import append_line, sha256_of_bytes, sha256_of_file, write_bytes
 from flora_common.messages import Frame
 from flora_common.messages.catalogue import Purpose
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light, RunFolder
 
 SHOT_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,58}\.jpg")
@@ -63,7 +64,7 @@ class FrameRecord(msgspec.Struct, frozen=True):
             light=self.light,
             flash_confirmed=self.flash,
             exposure_ok=not self.exposure_note,
-            exposure_note=self.exposure_note[:500],
+            exposure_note=as_sentence(self.exposure_note),
             exposure_us=exposure.exposure_us,
             analogue_gain=exposure.analogue_gain,
             digital_gain=exposure.digital_gain,

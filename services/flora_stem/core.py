@@ -15,16 +15,14 @@ from flora_common.errors import BadPicture, FloraError
 from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.messages.catalogue import Outcome
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light
+from flora_common.shapes import FARTHEST_CM
 from flora_common.vision.picture import Picture
 from flora_common.vision.reading import StemReading, bad_picture
 from flora_stem.background import NO_BACKGROUND
 from flora_stem.finder import Finder, Method
 from flora_stem.record import StemRecord
-
-LONGEST_REASON: Final = 500
-FARTHEST_CM: Final = 500.0
-"""A point farther away than the bus can say comes from a wrong scale in run.toml."""
 
 IN_TRACK: Final = ("ok", "occluded")
 """Outcomes whose stem is written to the track, with its uncertainty."""
@@ -111,7 +109,7 @@ class StemCore:
             uncertainty_mm=() if reading.uncertainty_mm is None else _millimetres(reading.uncertainty_mm),
             frame_sha256=frame.sha256,
             took_ms=max(0.0, self._now_ms() - began_ms),
-            reason="; ".join(note for note in notes if note)[:LONGEST_REASON],
+            reason=as_sentence("; ".join(note for note in notes if note)),
         )
         self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
         if points is not None and self._finder is not None:
@@ -126,7 +124,7 @@ class StemCore:
         if before is not None or missed.tick < self.record.tick:
             return before
         reason = f"no photograph ({missed.because}): {missed.reason}"
-        stem = Stem(tick=missed.tick, time_s=missed.time_s, outcome="no_frame", reason=reason[:LONGEST_REASON])
+        stem = Stem(tick=missed.tick, time_s=missed.time_s, outcome="no_frame", reason=as_sentence(reason))
         self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
         return Answer(stem)
 
@@ -144,6 +142,7 @@ class StemCore:
         except Exception as problem:  # noqa: BLE001 - the bus keeps this picture: who ended here would end at each start
             return bad_picture(f"the stem finder failed, please report it: {_where(problem)}")
         points = reading.points_cm
+        # a point farther away than the bus can say comes from a wrong scale in run.toml
         if points is not None and not (np.isfinite(points).all() and np.abs(points).max() <= FARTHEST_CM):
             return bad_picture(f"points more than {FARTHEST_CM:g} cm away; correct px_per_cm in run.toml")
         return reading

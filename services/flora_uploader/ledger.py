@@ -18,6 +18,7 @@ from typing import Final, Literal
 from flora_common.errors import StoreError
 from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
+from flora_common.messages.envelope import as_sentence
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem, damage, is_damage, put_aside, told
 from flora_uploader.policy import Kind
 from flora_uploader.reserve import Reserve
@@ -321,7 +322,7 @@ class Ledger:
             entry,
             state,
             "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?",
-            (state, reason[:500], *entry.key),
+            (state, as_sentence(reason), *entry.key),
         )
 
     def mark_run_vanished(self, run: str, reason: str) -> None:
@@ -329,7 +330,7 @@ class Ledger:
         with told(self.path):
             count = self._db.execute(
                 "UPDATE files SET state = 'vanished', reason = ? WHERE run = ? AND state = 'waiting'",
-                (reason[:500], run),
+                (as_sentence(reason), run),
             ).rowcount
         self.counts["waiting"] -= count
         self.counts["vanished"] += count

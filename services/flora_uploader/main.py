@@ -9,6 +9,7 @@ from typing import Final
 from flora_common.app import App, Timer
 from flora_common.errors import DiskFull
 from flora_common.messages import Frame, Stored
+from flora_common.messages.envelope import as_sentence
 from flora_common.service import Action, run_service
 from flora_uploader.actions import make_uploader, percent_free, show_status, upload_once
 from flora_uploader.conditions import Conditions
@@ -80,10 +81,10 @@ def build(app: App[UploaderSection]) -> None:
                 path=event.path[:255],
                 sha256=event.sha256,
                 bytes=event.bytes,
-                destination=event.destination[:500],
+                destination=as_sentence(event.destination),
                 waiting=uploader.waiting,
                 stored=uploader.stored,
-                reason=event.reason[:500],
+                reason=as_sentence(event.reason),
             )
         )
         if event.stage == "refused":
