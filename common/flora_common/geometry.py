@@ -75,6 +75,17 @@ def distance_to_polyline_cm(points_cm: npt.ArrayLike, polyline_cm: npt.ArrayLike
     return distances
 
 
+def polyline_length(points: FloatArray) -> FloatArray:
+    """Length of polylines through points of shape (..., n, 2), in their unit; shape (...)."""
+    steps = np.diff(points, axis=-2)
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
+
+
+def arc_length(line: FloatArray) -> FloatArray:
+    """Distance along a polyline (n, 2) from its first point, in its unit; shape (n,)."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+
+
 def resample_by_height(centreline_cm: npt.ArrayLike, count: int = STEM_POINTS) -> FloatArray:
     """Points of a centreline at heights evenly spaced from anchor to tip: the convention of ``track.csv``.
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from flora_common.files import write_bytes
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
@@ -87,7 +87,7 @@ def continued(record: StemRecord, last: tuple[float, FloatArray], camera: Camera
     time_s, points_cm = last
     line_px = np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm
     line = [(float(x), float(y)) for x, y in line_px]
-    length_cm = float(np.hypot(*np.diff(points_cm, axis=0).T).sum())
+    length_cm = float(polyline_length(points_cm))
     # ten points cut the corners of a bent stem by some per cent
     memory = Memory(line, LengthState(time_s, length_cm, length_var=(0.02 * length_cm + 0.05) ** 2))
     return msgspec.structs.replace(record, tip_px=line[-1], path=memory)

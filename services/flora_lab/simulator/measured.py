@@ -9,10 +9,9 @@ from typing import Final
 import numpy as np
 
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
-from flora_common.stem_range import lengths_cm
 from flora_lab.run_tracks import RunTrack
 
 STEP_S: Final = 300.0
@@ -108,7 +107,7 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         raise BadInput(f"{run.file}: holds one stem; at least two are needed")
     place = (track.time_s - track.time_s[0]) / step_s
     index = np.rint(place).astype(np.int64)
-    is_stem = lengths_cm(track.points_cm) >= LEAST_CM
+    is_stem = polyline_length(track.points_cm) >= LEAST_CM
     if not is_stem[0]:
         raise BadInput(f"{run.where(0)}: the first stem is shorter than {10 * LEAST_CM:g} mm; leave such rows out")
     rows = np.nonzero((np.abs(place - index) <= NEAR_SHARE) & is_stem)[0]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length  # noqa: F401 - tests draw with what is here
 from flora_common.vision.path.evidence import Evidence
 
 BoolArray = npt.NDArray[np.bool_]
@@ -93,11 +93,6 @@ def normals(line: FloatArray) -> FloatArray:
     tangent = np.gradient(line, axis=0)
     tangent /= np.maximum(np.hypot(tangent[:, 0], tangent[:, 1]), 1e-9)[:, None]
     return np.column_stack([-tangent[:, 1], tangent[:, 0]])
-
-
-def arc_length(line: FloatArray) -> FloatArray:
-    """Distance along a line (n, 2) from its first point, shape (n,)."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
 def places_along(line: FloatArray, s: FloatArray, at: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.thinning import neighbour_offsets, thin
 
@@ -72,7 +72,7 @@ class Strand:
     @property
     def length(self) -> float:
         """Along its points, px."""
-        return float(np.hypot(*np.diff(self.points, axis=0).T).sum())
+        return float(polyline_length(self.points))
 
     def reversed(self) -> Strand:
         """The same from the other end."""

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.vision.path.across import HALF
-from flora_common.vision.path.sampler import LEAF_GREENER, BoolArray, Sampler, arc_length, places_along
+from flora_common.vision.path.sampler import LEAF_GREENER, BoolArray, Sampler, places_along
 
 STEP_WIDTHS: Final = 0.35
 FITTED_WIDTHS, LEAST_FITTED_PX = 2.5, 8.0
