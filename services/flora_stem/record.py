@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from flora_common.files import write_bytes
+from flora_common.files import last_lines, write_bytes
 from flora_common.geometry import FloatArray, polyline_length
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
@@ -62,12 +62,10 @@ def write_record(path: Path, record: StemRecord) -> None:
 def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
     """(time_s, ten points in cm) of the last whole line of ``track.csv`` that can be read; None where there is none.
 
-    A line without its end was torn by a power cut and is cut off when the next one is added.
+    A track that cannot be read tells nothing either: it is only what the search begins with.
     """
     try:
-        with path.open("rb") as file:
-            file.seek(max(0, file.seek(0, 2) - TAIL_BYTES))
-            lines = file.read().split(b"\n")[:-1]
+        lines = last_lines(path, TAIL_BYTES)
     except OSError:
         return None
     for line in reversed(lines):
