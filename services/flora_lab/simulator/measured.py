@@ -19,6 +19,10 @@ NEAR_SHARE: Final = 0.35
 """How far from its place in the grid a row may lie, as a share of the step, to be taken for it."""
 LEAST_CM: Final = 0.1
 """What is shorter is no stem to start from."""
+_SLOWER: Final = 1.2
+"""Rows that are told more seldom than every so many steps of five minutes make longer steps."""
+_MINUTE_S: Final = 60.0
+_LONGEST_STEP_S: Final = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,17 @@ class MeasuredRun:
             light=self.light[:, ::-1].copy(),
             unseen=tuple(replace(gap, before=gap.before[::-1], after=gap.after[::-1]) for gap in self.unseen),
         )
+
+
+def step_of(time_s: FloatArray) -> float:
+    """The step in s that suits rows at these times, shape (n,): five minutes, or what lies between them where longer.
+
+    Longer ones are whole minutes, half an hour at most.
+    """
+    between_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else STEP_S
+    if between_s <= _SLOWER * STEP_S:
+        return STEP_S
+    return min(_LONGEST_STEP_S, _MINUTE_S * round(between_s / _MINUTE_S))
 
 
 def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
