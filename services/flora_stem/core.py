@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -14,17 +14,16 @@ import numpy as np
 from flora_common.errors import BadPicture, FloraError
 from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
-from flora_common.messages.catalogue import Outcome
 from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light
 from flora_common.shapes import FARTHEST_CM
 from flora_common.vision.picture import Picture
-from flora_common.vision.reading import StemReading, bad_picture
+from flora_common.vision.reading import OCCLUDED, OK, StemReading, bad_picture, no_stem
 from flora_stem.background import NO_BACKGROUND
 from flora_stem.finder import Finder, Method
 from flora_stem.record import StemRecord
 
-IN_TRACK: Final = ("ok", "occluded")
+IN_TRACK: Final = (OK, OCCLUDED)
 """Outcomes whose stem is written to the track, with its uncertainty."""
 
 
@@ -87,7 +86,7 @@ class StemCore:
         if before is not None or frame.tick < self.record.tick:
             return before
         if self._finder is None:
-            reading = StemReading("no_stem", reason=self._why_not)
+            reading = no_stem(self._why_not)
         else:
             self._finder.recall(self.record)
             reading = self._reading(self._finder, frame)
@@ -100,7 +99,7 @@ class StemCore:
         stem = Stem(
             tick=frame.tick,
             time_s=frame.time_s,
-            outcome=_outcome(reading.outcome),
+            outcome=reading.outcome,
             points_cm=() if points is None else tuple((float(x), float(y)) for x, y in points),
             quality=min(max(reading.quality, 0.0), 1.0),
             light=frame.light,
@@ -167,12 +166,3 @@ def _extras(reading: StemReading) -> dict[str, float]:
 
 def _millimetres(values: FloatArray) -> tuple[float, ...]:
     return tuple(round(min(float(v), 10_000.0), 3) for v in values)
-
-
-def _outcome(name: str) -> Outcome:
-    """The catalogue's word; one that it does not know is told as ``no_stem``."""
-    for known in get_args(Outcome):
-        if name == known:
-            word: Outcome = known
-            return word
-    return "no_stem"
