@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from flora_lab.diagnose import residual_statistics as told
+from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES
 from flora_lab.diagnose.figure_parts import CHANCE, LAMP_TINTS, MEASURED, WIDE_IN, legend
 from flora_lab.diagnose.replayed import MM
 from flora_lab.diagnose.residuals import FINE_BINS, FINE_H, PERIODS_H, ResidualTables
@@ -218,8 +219,7 @@ def gain(free_running: dict[str, dict[str, float]], one_step: dict[str, float]) 
 
 
 GAIN_NAMES: Final = {
-    "base": "simulator as it is",
-    "extended": "extended simulator",
+    **SIMULATOR_NAMES,
     "boosted": "black box on top (boosting)",
     "still": "“nothing moves”",
 }
