@@ -12,7 +12,7 @@ from typing import Final
 
 from flora_common.errors import BadRunFolder, StoreError
 from flora_common.runs import RunFolder
-from flora_uploader.ledger import Found
+from flora_uploader.ledger_model import Found
 from flora_uploader.policy import is_of_record, is_photograph, kind_of
 
 BATCH: Final = 200
