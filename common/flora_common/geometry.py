@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS, Obstacle
 
 FloatArray = npt.NDArray[np.float64]
@@ -73,6 +74,11 @@ def distance_to_polyline_cm(points_cm: npt.ArrayLike, polyline_cm: npt.ArrayLike
     nearest = a + t[..., None] * ab
     distances: FloatArray = np.sqrt(((q - nearest) ** 2).sum(axis=2)).min(axis=1)
     return distances
+
+
+def to_px(points_cm: FloatArray, camera: CameraSection) -> FloatArray:
+    """Points (..., 2) in cm from the anchor, y up, as places of the picture in px, y down."""
+    return np.asarray(np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm)
 
 
 def polyline_length(points: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from flora_common.files import last_lines, write_bytes
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.geometry import FloatArray, polyline_length, to_px
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
@@ -83,7 +83,7 @@ def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
 def continued(record: StemRecord, last: tuple[float, FloatArray], camera: CameraSection) -> StemRecord:
     """The record with the stem of the track's last line for what it remembers."""
     time_s, points_cm = last
-    line_px = np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm
+    line_px = to_px(points_cm, camera)
     line = [(float(x), float(y)) for x, y in line_px]
     length_cm = float(polyline_length(points_cm))
     # ten points cut the corners of a bent stem by some per cent

@@ -47,7 +47,7 @@ def is_run_folder(path: Path) -> bool:
         SpoolUnreadable: its disk or server does not say.
     """
     try:
-        return stat.S_ISREG((path / "run.toml").stat().st_mode)
+        return stat.S_ISREG(RunFolder(path).run_toml.stat().st_mode)
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return False
     except OSError as problem:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from flora_common.errors import BadPicture
-from flora_common.geometry import FloatArray, arc_length, polyline_length
+from flora_common.geometry import FloatArray, arc_length, polyline_length, to_px
 from flora_common.runs import CameraSection
 from flora_common.shapes import Obstacle, Target
 from flora_common.vision import draw
@@ -93,8 +93,7 @@ class DrawReadings:
     def _draw_stem(self, out: Picture, reading: Reading, place: CropToDrawing) -> None:
         stem = reading.stem
         assert stem.points_cm is not None
-        up = np.array([1.0, -1.0]) * self.camera.px_per_cm
-        points = place(np.array(self.camera.anchor_px) + stem.points_cm * up)
+        points = place(to_px(stem.points_cm, self.camera))
         line = points if stem.line_px is None else place(stem.line_px)
         colour = draw.CYAN if stem.outcome == OK else ORANGE
         if stem.uncertainty_mm is not None:
@@ -143,7 +142,7 @@ def plant_view(readings: Sequence[Reading], camera: CameraSection, *, longest_px
         if r.stem.line_px is not None:
             places.append(r.stem.line_px)
         elif r.stem.points_cm is not None:
-            places.append(anchor + r.stem.points_cm * np.array([1.0, -1.0]) * camera.px_per_cm)
+            places.append(to_px(r.stem.points_cm, camera))
     every = np.concatenate(places)
     low, high = every.min(axis=0), every.max(axis=0)
     rim = max(0.15 * float((high - low).max()), camera.px_per_cm, 12.0)
