@@ -138,7 +138,7 @@ def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
     return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
 
 
-def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.Learned) -> dict[str, _Errors]:
+def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.BlackBox) -> dict[str, _Errors]:
     extended = replayed(scene, base, base.mean, base.mean, np.zeros(2), change)
     rows = as_it_is.step_rows
     moved = scene.run.points_cm[rows + 1] - scene.run.points_cm[rows]
