@@ -18,6 +18,9 @@ ROW_PX: Final = 1024
 LEAF_GREENER: Final = (6.0, 14.0)
 """Code units, green against red, by which leaves are greener than the stem that bears them: from no leaf to surely one.
 Colours differ from plant to plant and under other lamps; this does not depend on how much light falls on either."""
+HALF_LIGHT_LEVEL: Final = 0.65
+"""Share of full evidence at which half of the light comes from the plant: evidence is logarithmic. Edges and ends of a
+stem lie there."""
 
 
 class Sampler:
