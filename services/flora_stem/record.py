@@ -62,7 +62,7 @@ def write_record(path: Path, record: StemRecord) -> None:
 def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
     """(time_s, ten points in cm) of the last whole line of ``track.csv`` that can be read; None where there is none.
 
-    A track that cannot be read tells nothing either: it is only what the search begins with.
+    A track that cannot be read tells nothing either; who adds a line to it is told why.
     """
     try:
         lines = last_lines(path, TAIL_BYTES)
