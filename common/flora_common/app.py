@@ -31,7 +31,7 @@ from flora_common.errors import BadInput, FloraError
 from flora_common.files import sha256_of_bytes
 from flora_common.log import Log
 from flora_common.messages.catalogue import Health, State
-from flora_common.messages.envelope import Message, spec_of
+from flora_common.messages.envelope import Message, as_sentence, spec_of
 from flora_common.notify import Notifier
 from flora_common.runs import RunFolder
 
@@ -192,7 +192,9 @@ class App(Generic[S]):
         elif self._troubles.pop(key, None) is None:
             return
         if self._troubles:
-            self.state("degraded", "; ".join(self._troubles.values())[:500], kind=", ".join(sorted(self._troubles)))
+            self.state(
+                "degraded", as_sentence("; ".join(self._troubles.values())), kind=", ".join(sorted(self._troubles))
+            )
         elif self._is_ready:
             self.state("ready")
         else:
@@ -253,7 +255,7 @@ class App(Generic[S]):
             call(*arguments)
         except FloraError as problem:
             # Expected: told, and the service goes on. Anything else is a bug and ends the process with its traceback.
-            self.trouble(key, str(problem)[:500])
+            self.trouble(key, as_sentence(str(problem)))
         else:
             if key in self._troubles:
                 self.trouble(key, "")
@@ -291,7 +293,7 @@ class App(Generic[S]):
         self.publish(
             Health(
                 state=state,
-                reason=reason[:500],
+                reason=as_sentence(reason),
                 version=_version(),
                 config_sha256=self._config_sha256,
                 uptime_s=time.monotonic() - self._started_s,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 from typing import Final
 
+from flora_common.config import ClockSection
+
 TIME_ERROR: Final = 5
 TIMEX_BYTES: Final = 512
 """More than ``struct timex`` has anywhere (208 on 64-bit Linux)."""
@@ -20,3 +22,8 @@ def is_synchronised() -> bool:
         return False
     answer = adjtimex(ctypes.create_string_buffer(TIMEX_BYTES))
     return isinstance(answer, int) and 0 <= answer < TIME_ERROR
+
+
+def is_right(clock: ClockSection) -> bool:
+    """Whether a rig's wall clock can be believed: the grow box's always can, a Pi's not before it has been told."""
+    return clock.kind == "twin" or is_synchronised()

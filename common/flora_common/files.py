@@ -134,6 +134,24 @@ def _end_of_last_line(file: BinaryIO, size: int) -> int:
     return 0
 
 
+def last_lines(path: Path, within_bytes: int) -> list[bytes]:
+    """The whole lines of a growing table that lie within so many bytes of its end, without their line ends.
+
+    Where there is no such file there are none. A line without its end was torn by a power cut, and is left out.
+
+    Raises:
+        OSError: it is there and cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = max(0, file.seek(0, os.SEEK_END) - within_bytes)
+            file.seek(start)
+            lines = file.read().split(b"\n")
+    except FileNotFoundError:
+        return []
+    return lines[1 if start else 0 : -1]
+
+
 def shown(name: Path | str) -> str:
     """A file name as text that can be kept in a file: bytes of it that are no UTF-8 become U+FFFD."""
     return os.fsencode(name).decode("utf-8", "replace")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS, Obstacle
 
 FloatArray = npt.NDArray[np.float64]
@@ -73,6 +74,22 @@ def distance_to_polyline_cm(points_cm: npt.ArrayLike, polyline_cm: npt.ArrayLike
     nearest = a + t[..., None] * ab
     distances: FloatArray = np.sqrt(((q - nearest) ** 2).sum(axis=2)).min(axis=1)
     return distances
+
+
+def to_px(points_cm: FloatArray, camera: CameraSection) -> FloatArray:
+    """Points (..., 2) in cm from the anchor, y up, as places of the picture in px, y down."""
+    return np.asarray(np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm)
+
+
+def polyline_length(points: FloatArray) -> FloatArray:
+    """Length of polylines through points of shape (..., n, 2), in their unit; shape (...)."""
+    steps = np.diff(points, axis=-2)
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
+
+
+def arc_length(line: FloatArray) -> FloatArray:
+    """Distance along a polyline (n, 2) from its first point, in its unit; shape (n,)."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
 def resample_by_height(centreline_cm: npt.ArrayLike, count: int = STEM_POINTS) -> FloatArray:

@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 from flora_common.bus import Arrival
 from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.files import fsync_folder, make_folder
-from flora_common.messages.envelope import TopicSpec, spec_of
+from flora_common.messages.envelope import TopicSpec, as_sentence, spec_of
 from flora_common.messages.reference import catalogue_hash, schema_of
 
 OPEN_SUFFIX: Final = ".open"
@@ -163,7 +163,9 @@ class RecordingWriter:
         if message is None:
             self.bad += 1
             name = arrival.parts[0].decode("utf-8", "backslashreplace")[:200]
-            payload = msgspec.msgpack.encode(Unreadable(name, arrival.reason[:500], _bounded(arrival.parts), utc_ns))
+            payload = msgspec.msgpack.encode(
+                Unreadable(name, as_sentence(arrival.reason), _bounded(arrival.parts), utc_ns)
+            )
             self._writer.add_message(self._channel_of_unreadable(rig), utc_ns, payload, utc_ns)
             return
         spec = spec_of(type(message))

@@ -22,7 +22,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadRunFolder
-from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
@@ -36,15 +36,13 @@ LEVELS: Final[Mapping[Light, tuple[float, float]]] = {
 }
 """What a light means as (left, right) of one full lamp."""
 
-Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
-PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]
+Cm = Annotated[float, msgspec.Meta(ge=-FARTHEST_CM, le=FARTHEST_CM)]
+PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=FARTHEST_CM)]
 Px = Annotated[float, msgspec.Meta(ge=-20_000.0, le=20_000.0)]
 
 Points = Iterable[Iterable[float]]
 """Points (x, y) in cm: an array of shape (n, 2), or tuples."""
 
-MOST_CM: Final = 500.0
-"""No point of a grow box is farther from the anchor; a coordinate beyond it is a wrong unit."""
 LONGEST_PATH: Final = 500
 """Signs of a photograph's path in ``frames.csv``; file systems know no names of more than 255."""
 MOST_TIME_S: Final = 1e12

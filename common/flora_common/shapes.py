@@ -12,6 +12,9 @@ from typing import Final
 STEM_POINTS: Final = 10
 """Points of a stem description: point 1 is the anchor, point 10 the growing tip."""
 
+FARTHEST_CM: Final = 500.0
+"""No point of a grow box is farther from the anchor along an axis; a coordinate beyond it is a wrong unit."""
+
 
 @dataclass(frozen=True, slots=True)
 class Target:

@@ -10,10 +10,8 @@ import math
 from typing import Annotated, Final
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.network_export import Strict
 from flora_common.runs import Cm
 
@@ -60,7 +58,7 @@ class StemRange(Strict, frozen=True):
             points_cm: shape (10, 2), finite.
         """
         x, tip_y = points_cm[:, 0], float(points_cm[-1, 1])
-        length = float(lengths_cm(points_cm))
+        length = float(polyline_length(points_cm))
         far_cm, way = max(
             (self.left_cm - float(x.min()), "farther left"),
             (float(x.max()) - self.right_cm, "farther right"),
@@ -77,7 +75,7 @@ def range_of(stems_cm: FloatArray) -> StemRange:
     Args:
         stems_cm: shape (n, 10, 2), n >= 1, finite, within 500 cm.
     """
-    x, tips, lengths = stems_cm[..., 0], stems_cm[:, -1, 1], lengths_cm(stems_cm)
+    x, tips, lengths = stems_cm[..., 0], stems_cm[:, -1, 1], polyline_length(stems_cm)
     return StemRange(
         left_cm=_down(x.min()),
         right_cm=_up(x.max()),
@@ -86,12 +84,6 @@ def range_of(stems_cm: FloatArray) -> StemRange:
         shortest_cm=_down(lengths.min()),
         longest_cm=_up(lengths.max()),
     )
-
-
-def lengths_cm(stems_cm: FloatArray) -> npt.NDArray[np.float64]:
-    """Lengths of stems, shape (..., n, 2), along their points; shape (...)."""
-    steps = np.diff(stems_cm, axis=-2)
-    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
 
 
 def _down(value: float) -> float:

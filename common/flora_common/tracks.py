@@ -9,8 +9,8 @@ import numpy as np
 
 from flora_common.errors import BadRunFolder
 from flora_common.geometry import FloatArray
-from flora_common.runs import MOST_CM, TRACK_HEADER, Light, finite_number, known_light, later_time, read_csv
-from flora_common.shapes import STEM_POINTS
+from flora_common.runs import TRACK_HEADER, Light, finite_number, known_light, later_time, read_csv
+from flora_common.shapes import FARTHEST_CM, STEM_POINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ def read_track(path: Path) -> Track:
         where = f"{path} line {line}"
         times.append(later_time(row.pop("time_s"), times, where))
         lights.append(known_light(row.pop("light"), where))
-        points.append([finite_number(row.pop(name), name, where, MOST_CM, "cm") for name in names[2:]])
+        points.append([finite_number(row.pop(name), name, where, FARTHEST_CM, "cm") for name in names[2:]])
         for name, value in row.items():
             covariates.setdefault(name, []).append(finite_number(value, name, where))
     if not times:

@@ -14,6 +14,7 @@ from flora_common.app import App, Timer
 from flora_common.errors import BadPicture, DiskFull, StoreError
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps
 from flora_common.messages.catalogue import MissedBecause
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import CameraSection
 from flora_common.vision.header import picture_size
 
@@ -276,7 +277,7 @@ class CaptureService:
                 tick=flash.tick,
                 time_s=flash.time_s,
                 because=because,
-                reason=reason[:500],
+                reason=as_sentence(reason),
                 purpose=flash.purpose,
                 shot=flash.shot,
             )

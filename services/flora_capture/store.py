@@ -6,7 +6,6 @@ or a full disk. No photograph of the run is ever written over; one of the empty 
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,13 +15,15 @@ import msgspec
 
 from flora_capture.core import Exposure, exposure_of
 from flora_common.errors import BadRunFolder, StoreError
-from flora_common.files import append_line, sha256_of_bytes, sha256_of_file, write_bytes
+from flora_common.files import append_line, last_lines, sha256_of_bytes, sha256_of_file, write_bytes
 from flora_common.messages import Frame
 from flora_common.messages.catalogue import Purpose
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light, RunFolder
 
 SHOT_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,58}\.jpg")
 TAIL_BYTES: Final = 4096
+"""A line of ``frames.csv`` is under 600 bytes."""
 
 
 class FrameRecord(msgspec.Struct, frozen=True):
@@ -71,7 +72,7 @@ class FrameRecord(msgspec.Struct, frozen=True):
             light=self.light,
             flash_confirmed=self.flash,
             exposure_ok=not self.exposure_note,
-            exposure_note=self.exposure_note[:500],
+            exposure_note=as_sentence(self.exposure_note),
             exposure_us=exposure.exposure_us,
             analogue_gain=exposure.analogue_gain,
             digital_gain=exposure.digital_gain,
@@ -181,12 +182,7 @@ def _read_records(file: Path) -> Iterator[FrameRecord]:
 
 def _last_time_s(file: Path) -> float:
     """Time of the last whole line of ``frames.csv``; below every time where there is none."""
-    try:
-        with file.open("rb") as data:
-            data.seek(max(0, data.seek(0, os.SEEK_END) - TAIL_BYTES))
-            lines = data.read().split(b"\n")[:-1]
-    except FileNotFoundError:
-        return -1.0
+    lines = last_lines(file, TAIL_BYTES)
     if not lines or lines[-1].startswith(b"file,"):
         return -1.0
     try:

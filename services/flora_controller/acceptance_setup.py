@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from flora_common.app import App
-from flora_common.clock_sync import is_synchronised
+from flora_common.clock_sync import is_right
 from flora_common.errors import ConfigError, StoreError
 from flora_common.shapes import Obstacle, Target
 from flora_common.signing import PUBLIC_SUFFIX, read_trusted_keys
@@ -55,8 +55,6 @@ def open_acceptance(app: App[ControllerSection], target: Target | None, obstacle
         app.trouble("serials", str(problem))
 
     def utc() -> datetime | None:
-        # The grow box's time is always right; a Pi's is not before it has been told.
-        believed = app.rig.clock.kind == "twin" or is_synchronised()
-        return EPOCH + timedelta(microseconds=app.clock.utc_ns() // 1000) if believed else None
+        return EPOCH + timedelta(microseconds=app.clock.utc_ns() // 1000) if is_right(app.rig.clock) else None
 
     return Acceptance(policy, serials, keep=lambda kept: write_serials(serials_file, kept), utc=utc)

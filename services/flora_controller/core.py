@@ -18,9 +18,10 @@ import numpy as np
 from flora_common.geometry import FloatArray, clearance_cm
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
+from flora_common.messages.envelope import LONGEST_SENTENCE, as_sentence
 from flora_common.open_loop import OpenLoopSection, open_loop_side
 from flora_common.runs import Light
-from flora_common.shapes import STEM_POINTS, Obstacle, Target
+from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_controller.acceptance import TaskRule, Trust
 from flora_controller.lineup import Failure, Lineup, identity_of
 from flora_controller.record import Record
@@ -40,9 +41,7 @@ from flora_controller.steering import (
     WaypointSection,
 )
 
-LONGEST_REASON: Final = 500
-FARTHEST_CM: Final = 500.0
-"""From the anchor along an axis: as far as the bus lets any length be. Farther points are not judged either."""
+LONGEST_REASON: Final = LONGEST_SENTENCE
 
 BuiltIn = Literal["open-loop", "tip-follower", "waypoint", "dark"]
 
@@ -172,7 +171,7 @@ class ControllerCore:
             time_s=stem.time_s,
             output=min(max(decision.output, 0.0), 1.0),
             blind=blind,
-            reason=decision.reason[:LONGEST_REASON],
+            reason=as_sentence(decision.reason),
         )
         record = msgspec.structs.replace(
             self.record,
@@ -254,7 +253,7 @@ class ControllerCore:
         )
 
     def _blindly(self, time_s: float, why: str, light: Light | None, blind_ticks: int) -> Decision:
-        since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_REASON - 80]
+        since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_SENTENCE - 80]
         if light is not None and blind_ticks <= self._section.blind_hold_ticks:
             output = 1.0 if light == "right" else 0.0
             return Decision(light, output, f"{since}: the last light is held")
@@ -293,7 +292,7 @@ class ControllerCore:
         shadow, trial = self._lineup.shadow, record.shadow
         return ControllerState(
             tick=stem.tick,
-            controller=self.steering.name[:LONGEST_REASON],
+            controller=as_sentence(self.steering.name),
             sha256=self.steering.sha256,
             time_s=stem.time_s,
             fitness=None if tip is None or self._target is None else self._target.fitness(*tip),
@@ -307,10 +306,8 @@ class ControllerCore:
             decisions=record.decisions,
             switches=record.switches,
             run_over=bool(record.run_over),
-            reason="; ".join(part for part in (*map(str, self.failures), note, record.run_over) if part)[
-                :LONGEST_REASON
-            ],
-            shadow="" if shadow is None else shadow.name[:LONGEST_REASON],
+            reason=as_sentence("; ".join(part for part in (*map(str, self.failures), note, record.run_over) if part)),
+            shadow="" if shadow is None else as_sentence(shadow.name),
             shadow_sha256="" if shadow is None else shadow.sha256,
             shadow_output=None if trial is None or shadowed is None else trial.output,
             shadow_light=None if shadowed is None else shadowed.light,
@@ -325,5 +322,5 @@ def usable_points(stem: Stem) -> FloatArray | None:
     if stem.outcome != "ok" or len(stem.points_cm) != STEM_POINTS:
         return None
     points = np.array(stem.points_cm, dtype=np.float64)
-    # written so that NaN fails it too
+    # farther points are not judged; written so that NaN fails it too
     return points if (np.abs(points) <= FARTHEST_CM).all() else None

@@ -17,14 +17,13 @@ import msgspec
 from flora_common.controller_file import SUFFIX, LoadedController, parse_controller
 from flora_common.errors import BadController
 from flora_common.files import TEMPORARY_SUFFIX, sha256_of_bytes, write_bytes
-from flora_common.messages.envelope import Sentence, Sha256
+from flora_common.messages.envelope import Sentence, Sha256, as_sentence
 
 FOLDER: Final = "controllers"
 RECORD: Final = "current.json"
 VERSION: Final = 1
 MOST_KEPT: Final = 3
 """The one that steers and the two before it."""
-LONGEST_NOTE: Final = 500
 MOST_REMEMBERED: Final = 32
 """Controllers that were given up, and must not come back by themselves."""
 
@@ -93,11 +92,11 @@ class ShelfRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def without(self, entry: Entry, reason: str, *, note: str) -> ShelfRecord:
         """This one was given up, wherever it stood."""
         others = [other for other in self.given_up if other.sha256 != entry.sha256]
-        given_up = GivenUp(entry.sha256, entry.offer, reason[:LONGEST_NOTE])
+        given_up = GivenUp(entry.sha256, entry.offer, as_sentence(reason))
         return msgspec.structs.replace(
             self.only(self.named - {entry.sha256}),
             given_up=(*others, given_up)[-MOST_REMEMBERED:],
-            note=note[:LONGEST_NOTE],
+            note=as_sentence(note),
         )
 
     def only(self, usable: set[str]) -> ShelfRecord:

@@ -14,7 +14,7 @@ from typing import Annotated, Final, Protocol
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, clearance_cm
+from flora_common.geometry import FloatArray, clearance_cm, polyline_length
 from flora_common.open_loop import OTHER, OpenLoopSection, Side, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
@@ -224,4 +224,4 @@ def passing_side(target: Target, obstacle: Obstacle, *, margin_cm: float) -> Sid
 
 def _detour_cm(target: Target, obstacle: Obstacle, x_cm: float) -> float:
     way = np.array([(0.0, 0.0), (x_cm, obstacle.bottom_cm), (x_cm, obstacle.top_cm), (target.x_cm, target.y_cm)])
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+    return float(polyline_length(way))

@@ -12,6 +12,7 @@ from flora_common.clock import NS, Clock
 from flora_common.errors import DeviceError, DiskFull
 from flora_common.files import write_text
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
+from flora_common.messages.envelope import as_sentence
 from flora_common.setup_run import SETUP_LEASE_S
 from flora_flash.backends import Lamp, NoLamp
 from flora_flash.core import STATE_FILE, Beat, Reading
@@ -246,7 +247,7 @@ class FlashService:
                 time_s=tick.time_s,
                 purpose=tick.purpose,
                 shot=tick.shot,
-                reason="; ".join(part for part in (reason, problem) if part)[:500],
+                reason=as_sentence("; ".join(part for part in (reason, problem) if part)),
             )
         )
 

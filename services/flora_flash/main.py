@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +11,7 @@ import msgspec
 
 from flora_common.app import App
 from flora_common.clock import Clock
-from flora_common.clock_sync import is_synchronised
+from flora_common.clock_sync import is_right
 from flora_common.config import RigSection
 from flora_common.errors import BadInput
 from flora_common.runs import RunFolder
@@ -79,14 +80,9 @@ def run_name(run: RunFolder) -> str:
     return run.path.resolve().name
 
 
-def clock_check(rig: RigSection) -> Callable[[], bool]:
-    """Asks whether the wall clock is right: the grow box's always is, a Pi's not before it has been told."""
-    return (lambda: True) if rig.clock.kind == "twin" else is_synchronised
-
-
 def build(app: App[FlashSection]) -> None:
     interval_s = app.run.read_run_file().interval_s
-    utc_is_right = clock_check(app.rig)
+    utc_is_right = functools.partial(is_right, app.rig.clock)
     now = read_clocks(app.clock, boot_id(), utc_is_right)
     state = read_state(app.state_dir / STATE_FILE, app.run)
     beat = Beat(interval_s, run=run_name(app.run), state=state, now=now)

@@ -14,6 +14,7 @@ from typing import Final, TypeVar
 import msgspec
 
 from flora_common.errors import BadRunFolder
+from flora_common.files import last_lines
 from flora_common.messages.catalogue import Purpose
 from flora_common.messages.envelope import Count, Seconds
 from flora_common.runs import RunFolder
@@ -72,24 +73,14 @@ def _time_s_of_row(line: bytes) -> float:
 
 def _readable(file: Path, read: Callable[[bytes], T]) -> list[T]:
     """What ``read`` makes of each of the last lines; those that it refuses, such as the header, are left out."""
+    try:
+        lines = last_lines(file, TAIL_BYTES)
+    except OSError as problem:
+        raise BadRunFolder(f"{file}: cannot be read ({problem.strerror})") from problem
     found = []
-    for line in _last_lines(file):
+    for line in lines:
         try:
             found.append(read(line))
         except (ValueError, IndexError, RecursionError):
             continue
     return found
-
-
-def _last_lines(file: Path) -> list[bytes]:
-    """The whole lines within :data:`TAIL_BYTES` of the end."""
-    try:
-        with file.open("rb") as data:
-            start = max(0, data.seek(0, os.SEEK_END) - TAIL_BYTES)
-            data.seek(start)
-            lines = data.read().split(b"\n")
-    except FileNotFoundError:
-        return []
-    except OSError as problem:
-        raise BadRunFolder(f"{file}: cannot be read ({problem.strerror})") from problem
-    return lines[1 if start else 0 : -1]

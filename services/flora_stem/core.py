@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -14,19 +14,16 @@ import numpy as np
 from flora_common.errors import BadPicture, FloraError
 from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
-from flora_common.messages.catalogue import Outcome
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light
+from flora_common.shapes import FARTHEST_CM
 from flora_common.vision.picture import Picture
-from flora_common.vision.reading import StemReading, bad_picture
+from flora_common.vision.reading import OCCLUDED, OK, StemReading, bad_picture, no_stem
 from flora_stem.background import NO_BACKGROUND
 from flora_stem.finder import Finder, Method
 from flora_stem.record import StemRecord
 
-LONGEST_REASON: Final = 500
-FARTHEST_CM: Final = 500.0
-"""A point farther away than the bus can say comes from a wrong scale in run.toml."""
-
-IN_TRACK: Final = ("ok", "occluded")
+IN_TRACK: Final = (OK, OCCLUDED)
 """Outcomes whose stem is written to the track, with its uncertainty."""
 
 
@@ -89,7 +86,7 @@ class StemCore:
         if before is not None or frame.tick < self.record.tick:
             return before
         if self._finder is None:
-            reading = StemReading("no_stem", reason=self._why_not)
+            reading = no_stem(self._why_not)
         else:
             self._finder.recall(self.record)
             reading = self._reading(self._finder, frame)
@@ -102,7 +99,7 @@ class StemCore:
         stem = Stem(
             tick=frame.tick,
             time_s=frame.time_s,
-            outcome=_outcome(reading.outcome),
+            outcome=reading.outcome,
             points_cm=() if points is None else tuple((float(x), float(y)) for x, y in points),
             quality=min(max(reading.quality, 0.0), 1.0),
             light=frame.light,
@@ -111,7 +108,7 @@ class StemCore:
             uncertainty_mm=() if reading.uncertainty_mm is None else _millimetres(reading.uncertainty_mm),
             frame_sha256=frame.sha256,
             took_ms=max(0.0, self._now_ms() - began_ms),
-            reason="; ".join(note for note in notes if note)[:LONGEST_REASON],
+            reason=as_sentence("; ".join(note for note in notes if note)),
         )
         self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
         if points is not None and self._finder is not None:
@@ -126,7 +123,7 @@ class StemCore:
         if before is not None or missed.tick < self.record.tick:
             return before
         reason = f"no photograph ({missed.because}): {missed.reason}"
-        stem = Stem(tick=missed.tick, time_s=missed.time_s, outcome="no_frame", reason=reason[:LONGEST_REASON])
+        stem = Stem(tick=missed.tick, time_s=missed.time_s, outcome="no_frame", reason=as_sentence(reason))
         self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
         return Answer(stem)
 
@@ -144,6 +141,7 @@ class StemCore:
         except Exception as problem:  # noqa: BLE001 - the bus keeps this picture: who ended here would end at each start
             return bad_picture(f"the stem finder failed, please report it: {_where(problem)}")
         points = reading.points_cm
+        # a point farther away than the bus can say comes from a wrong scale in run.toml
         if points is not None and not (np.isfinite(points).all() and np.abs(points).max() <= FARTHEST_CM):
             return bad_picture(f"points more than {FARTHEST_CM:g} cm away; correct px_per_cm in run.toml")
         return reading
@@ -168,12 +166,3 @@ def _extras(reading: StemReading) -> dict[str, float]:
 
 def _millimetres(values: FloatArray) -> tuple[float, ...]:
     return tuple(round(min(float(v), 10_000.0), 3) for v in values)
-
-
-def _outcome(name: str) -> Outcome:
-    """The catalogue's word; one that it does not know is told as ``no_stem``."""
-    for known in get_args(Outcome):
-        if name == known:
-            word: Outcome = known
-            return word
-    return "no_stem"

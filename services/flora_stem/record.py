@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from flora_common.files import write_bytes
-from flora_common.geometry import FloatArray
+from flora_common.files import last_lines, write_bytes
+from flora_common.geometry import FloatArray, polyline_length, to_px
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
@@ -62,12 +62,10 @@ def write_record(path: Path, record: StemRecord) -> None:
 def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
     """(time_s, ten points in cm) of the last whole line of ``track.csv`` that can be read; None where there is none.
 
-    A line without its end was torn by a power cut and is cut off when the next one is added.
+    A track that cannot be read tells nothing either; who adds a line to it is told why.
     """
     try:
-        with path.open("rb") as file:
-            file.seek(max(0, file.seek(0, 2) - TAIL_BYTES))
-            lines = file.read().split(b"\n")[:-1]
+        lines = last_lines(path, TAIL_BYTES)
     except OSError:
         return None
     for line in reversed(lines):
@@ -85,9 +83,9 @@ def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
 def continued(record: StemRecord, last: tuple[float, FloatArray], camera: CameraSection) -> StemRecord:
     """The record with the stem of the track's last line for what it remembers."""
     time_s, points_cm = last
-    line_px = np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm
+    line_px = to_px(points_cm, camera)
     line = [(float(x), float(y)) for x, y in line_px]
-    length_cm = float(np.hypot(*np.diff(points_cm, axis=0).T).sum())
+    length_cm = float(polyline_length(points_cm))
     # ten points cut the corners of a bent stem by some per cent
     memory = Memory(line, LengthState(time_s, length_cm, length_var=(0.02 * length_cm + 0.05) ** 2))
     return msgspec.structs.replace(record, tip_px=line[-1], path=memory)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from flora_common.messages.envelope import LONGEST_SENTENCE
 from flora_uploader.policy import DiskAlert, disk_alert
 
-SENTENCE_LENGTH: Final = 500
 SHOWN: Final = 3
 
 
@@ -64,4 +64,4 @@ class Conditions:
         )
         told = "; ".join(condition.reason for _, condition in order[:SHOWN])
         more = f" (and {len(order) - SHOWN} more)" if len(order) > SHOWN else ""
-        return told[: SENTENCE_LENGTH - len(more)] + more
+        return told[: LONGEST_SENTENCE - len(more)] + more

@@ -11,95 +11,20 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from flora_common.errors import StoreError
 from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
+from flora_common.messages.envelope import as_sentence
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem, damage, is_damage, put_aside, told
+from flora_uploader.ledger_model import COLUMNS, SCHEMA, VERSION, Entry, FileState, Found
 from flora_uploader.policy import Kind
 from flora_uploader.reserve import Reserve
 
-FileState = Literal["waiting", "stored", "damaged", "freed", "vanished"]
-"""
-waiting: not verified at the target.    stored: read back there, and the spool has it too.
-freed: stored, and deleted from the spool to make room.
-damaged: the spool's file is not what the camera wrote, or the target's is not what was stored and the spool has none.
-vanished: gone from the spool before it was stored.
-"""
-
 FILE_NAME: Final = "uploader.sqlite3"
 RESERVE_NAME: Final = "uploader.reserve"
-VERSION: Final = 1
-
-_SCHEMA: Final = """
-CREATE TABLE files (
-    run TEXT NOT NULL,
-    path TEXT NOT NULL,
-    kind TEXT NOT NULL CHECK (kind IN ('once', 'table')),
-    size INTEGER NOT NULL,
-    mtime_ns INTEGER NOT NULL,
-    state TEXT NOT NULL CHECK (state IN ('waiting', 'stored', 'damaged', 'freed', 'vanished')),
-    expected TEXT NOT NULL DEFAULT '',
-    sha256 TEXT NOT NULL DEFAULT '',
-    verified_ns INTEGER NOT NULL DEFAULT 0,
-    turn INTEGER NOT NULL DEFAULT 0,
-    reason TEXT NOT NULL DEFAULT '',
-    PRIMARY KEY (run, path)
-) WITHOUT ROWID;
-CREATE INDEX files_queue ON files (state, kind, mtime_ns);
-CREATE INDEX files_check ON files (state, turn);
-CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-"""
-
-_COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, turn, reason"
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One file of record.
-
-    Attributes:
-        run: name of the run folder.
-        path: inside the run folder.
-        kind: ``once`` or ``table``.
-        size: bytes in the spool when last looked at.
-        mtime_ns: likewise.
-        state: see :data:`FileState`.
-        expected: SHA-256 that the camera announced, or empty.
-        sha256: SHA-256 of what was last verified at the target, or empty.
-        verified_ns: when that was, UTC.
-        turn: number of the last look at the target; no clock, because clocks jump.
-        reason: of a state that is not as it should be.
-    """
-
-    run: str
-    path: str
-    kind: Kind
-    size: int
-    mtime_ns: int
-    state: FileState = "waiting"
-    expected: str = ""
-    sha256: str = ""
-    verified_ns: int = 0
-    turn: int = 0
-    reason: str = ""
-
-    @property
-    def key(self) -> tuple[str, str]:
-        return self.run, self.path
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A file as the scan found it: path inside its run folder, size, time of the last change."""
-
-    path: str
-    kind: Kind
-    size: int
-    mtime_ns: int
 
 
 class Ledger:
@@ -182,7 +107,7 @@ class Ledger:
                     f" update this machine, or move the file away: it will be made anew from what is at the target"
                 )
             if version == 0:
-                db.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} PRAGMA user_version = {VERSION}; COMMIT;")
+                db.executescript(f"BEGIN IMMEDIATE; {SCHEMA} PRAGMA user_version = {VERSION}; COMMIT;")
             said = str(db.execute("PRAGMA quick_check(1)").fetchone()[0])
             if said != "ok":
                 raise sqlite3.DatabaseError(said)
@@ -259,9 +184,7 @@ class Ledger:
 
     def next_waiting(self, kind: Kind, may: Callable[[Entry], bool]) -> Entry | None:
         """The oldest waiting file of a kind that may be tried now."""
-        return self._first(
-            "state = 'waiting' AND kind = ? ORDER BY mtime_ns, run, path", (kind,), may
-        )  # fmt: skip
+        return self._first("state = 'waiting' AND kind = ? ORDER BY mtime_ns, run, path", (kind,), may)
 
     def next_to_check(self, may: Callable[[Entry], bool]) -> Entry | None:
         """The file at the target that has not been read for the longest time."""
@@ -275,7 +198,7 @@ class Ledger:
 
     def _first(self, where: str, values: tuple[object, ...], may: Callable[[Entry], bool]) -> Entry | None:
         with told(self.path):
-            for row in self._db.execute(f"SELECT {_COLUMNS} FROM files WHERE {where}", values):
+            for row in self._db.execute(f"SELECT {COLUMNS} FROM files WHERE {where}", values):
                 entry = Entry(*row)
                 if may(entry):
                     return entry
@@ -321,7 +244,7 @@ class Ledger:
             entry,
             state,
             "UPDATE files SET state = ?, reason = ? WHERE run = ? AND path = ?",
-            (state, reason[:500], *entry.key),
+            (state, as_sentence(reason), *entry.key),
         )
 
     def mark_run_vanished(self, run: str, reason: str) -> None:
@@ -329,7 +252,7 @@ class Ledger:
         with told(self.path):
             count = self._db.execute(
                 "UPDATE files SET state = 'vanished', reason = ? WHERE run = ? AND state = 'waiting'",
-                (reason[:500], run),
+                (as_sentence(reason), run),
             ).rowcount
         self.counts["waiting"] -= count
         self.counts["vanished"] += count

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from flora_common.files import fsync_folder
-from flora_uploader.ledger import Entry
+from flora_uploader.ledger_model import Entry
 from flora_uploader.policy import is_photograph
 from flora_uploader.target import Target
 from flora_uploader.transfer import SourceUnreadable, hash_at_target

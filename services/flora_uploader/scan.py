@@ -12,7 +12,7 @@ from typing import Final
 
 from flora_common.errors import BadRunFolder, StoreError
 from flora_common.runs import RunFolder
-from flora_uploader.ledger import Found
+from flora_uploader.ledger_model import Found
 from flora_uploader.policy import is_of_record, is_photograph, kind_of
 
 BATCH: Final = 200
@@ -47,7 +47,7 @@ def is_run_folder(path: Path) -> bool:
         SpoolUnreadable: its disk or server does not say.
     """
     try:
-        return stat.S_ISREG((path / "run.toml").stat().st_mode)
+        return stat.S_ISREG(RunFolder(path).run_toml.stat().st_mode)
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return False
     except OSError as problem:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+from flora_common.runs import RunFolder
 from flora_uploader import scan
 from flora_uploader.conditions import Conditions
 from flora_uploader.ledger import Ledger
@@ -113,8 +114,7 @@ class Spool:
             changed = self._ledger.see(name, batch)
             has_new = has_new or any(is_photograph(path) for path in changed)
             yield
-        log = folder / "frames.jsonl"
-        seen = scan.look_at(folder, log.name)
+        seen = scan.look_at(folder, RunFolder(folder).frames_log.name)
         stamp = (seen.size, seen.mtime_ns) if seen else (0, 0)
         if has_new or self._logs_seen.get(name) != stamp:
             self._ledger.expect(name, scan.hashes_of_photographs(folder))

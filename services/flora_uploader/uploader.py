@@ -14,8 +14,9 @@ from typing import Final
 from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
 from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
-from flora_uploader.ledger import Entry, Ledger
+from flora_uploader.ledger import Ledger
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem
+from flora_uploader.ledger_model import Entry
 from flora_uploader.model import Event, Settings, Stage, Totals, World
 from flora_uploader.policy import Pause, Waits
 from flora_uploader.spool import Spool

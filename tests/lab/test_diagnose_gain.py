@@ -153,7 +153,7 @@ def test_what_the_black_box_learned_nothing_of_lies_between_what_it_did() -> Non
             return np.full(len(seen), self.value)
 
     tip_x, tip_y, upper, lower = 0.9, 0.18, 0.6, -0.3
-    box = boosting.Learned(tuple(Model(value) for value in (tip_x, tip_y, upper, lower)))
+    box = boosting.BlackBox(tuple(Model(value) for value in (tip_x, tip_y, upper, lower)))
     added = box.residual_cm(np.zeros((2, 23)))
     assert added.shape == (2, 10, 2)
     assert added[1, :, 0] == pytest.approx([0.0, -0.1, -0.2, -0.3, 0.0, 0.3, 0.6, 0.7, 0.8, 0.9])
@@ -161,7 +161,7 @@ def test_what_the_black_box_learned_nothing_of_lies_between_what_it_did() -> Non
 
 
 def test_a_box_that_corrects_the_stem_away_leaves_the_simulators() -> None:
-    class Vanishing(boosting.Learned):
+    class Vanishing(boosting.BlackBox):
         """Takes away all of the stem that it is shown; a step adds less than a millimetre."""
 
         def residual_cm(self, seen: Array) -> Array:

@@ -16,7 +16,7 @@ from flora_lab.diagnose.replayed import replayed
 from flora_lab.diagnose.residual_words import mm, p_text
 from flora_lab.diagnose.residuals import (
     FINE_BINS,
-    PERIODS_H,
+    SWING_PERIODS_H,
     ReferenceResiduals,
     ResidualTables,
     as_arrays,
@@ -90,7 +90,7 @@ def test_a_swing_stands_out_at_its_period() -> None:
     said, tables = judged(2.0, swing_cm=0.5)
     assert "every 1.7 h" in said.description
     for curve in tables.shown.swing_mm:
-        assert PERIODS_H[np.argmax(curve)] == pytest.approx(1.7, rel=0.05)
+        assert SWING_PERIODS_H[np.argmax(curve)] == pytest.approx(1.7, rel=0.05)
         assert curve.max() == pytest.approx(5.0, rel=0.35)
 
 

@@ -19,7 +19,7 @@ from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, stored_base, usual_errors
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.knowledge import Knowledge
-from flora_lab.diagnose.residuals import PERIODS_H, ReferenceResiduals, Shown
+from flora_lab.diagnose.residuals import SWING_PERIODS_H, ReferenceResiduals, Shown
 from flora_lab.diagnose.rhythm import Swings
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.simulator.growing import DataRange
@@ -32,7 +32,7 @@ RIG = "box2"
 def write_simulator(path: Path) -> None:
     """A simulator of the sources' typical bean, as if nine plants had told what happens by chance."""
     each = {plant: np.zeros((9, 3)) for plant in ("typical", "own")}
-    shown = Shown(each, each, each, each, np.zeros((9, len(PERIODS_H))))
+    shown = Shown(each, each, each, each, np.zeros((9, len(SWING_PERIODS_H))))
     sizes, first = chance.sizes_expected(), np.array([np.log(6.5), 0.0])
     base = Base(prior_mean(), prior_spread(), 0.1 * prior_spread(), sizes, first, np.array([0.1, 0.1]), 9)
     errors = usual_errors.expected_sizes()

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from flora_common.clock_sync import is_synchronised
+from flora_common import clock_sync
+from flora_common.clock_sync import is_right, is_synchronised
+from flora_common.config import ClockSection
 
 
 @pytest.mark.parametrize(("answer", "believed"), [(0, True), (1, True), (4, True), (5, False), (-1, False)])
@@ -32,6 +34,14 @@ def test_a_system_that_cannot_be_asked_is_not_believed(monkeypatch: pytest.Monke
     monkeypatch.setattr(ctypes, "CDLL", lambda _: SimpleNamespace())
 
     assert not is_synchronised()
+
+
+@pytest.mark.parametrize(("kind", "believed"), [("system", False), ("twin", True)])
+def test_the_kernel_is_asked_about_the_machines_clock_and_not_about_the_grow_boxs(
+    monkeypatch: pytest.MonkeyPatch, kind: str, believed: bool
+) -> None:
+    monkeypatch.setattr(clock_sync, "is_synchronised", lambda: False)
+    assert is_right(ClockSection(kind=kind, twin="ipc:///tmp/box")) is believed  # type: ignore[arg-type]
 
 
 def test_asking_this_machine_leaves_its_clock_alone() -> None:

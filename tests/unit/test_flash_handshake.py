@@ -13,15 +13,14 @@ import pytest
 from device_fakes import FakeApp
 from fake_clock import FakeClock
 from flora_common.clock import NS, LeaderClock
-from flora_common.config import ClockSection, RigSection
 from flora_common.errors import BadInput, DiskFull, FlashDead
 from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
 from flora_common.runs import RunFolder
-from flora_flash import handshake, main
+from flora_flash import handshake
 from flora_flash.backends import NoLamp
 from flora_flash.core import Beat, BeatState, Photographed, Reading
 from flora_flash.handshake import FlashSection, FlashService, read_clocks
-from flora_flash.main import clock_check, read_state
+from flora_flash.main import read_state
 from flora_flash.photographs import last_photographed
 
 SHA = "0" * 64
@@ -523,15 +522,6 @@ def test_a_power_cut_of_eight_hours_is_told_once_when_the_clock_has_been_set(rig
     app.pass_s(300.0)
     assert [t.skipped for t in app.heard(Tick)] == [96, 0]
     assert [line for line in app.lines if "absence" in line] == ["absence_was_longer"]
-
-
-@pytest.mark.parametrize(("kind", "is_right"), [("system", False), ("twin", True)])
-def test_the_kernel_is_asked_about_the_machines_clock_and_not_about_the_grow_boxs(
-    monkeypatch: pytest.MonkeyPatch, kind: str, is_right: bool
-) -> None:
-    monkeypatch.setattr(main, "is_synchronised", lambda: False)
-    rig = RigSection(clock=ClockSection(kind=kind, twin="ipc:///tmp/box"))  # type: ignore[arg-type]
-    assert clock_check(rig)() is is_right
 
 
 def test_whether_the_clock_is_right_is_asked_before_it_is_read() -> None:

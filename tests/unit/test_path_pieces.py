@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, distance_to_polyline_cm
+from flora_common.geometry import FloatArray, arc_length, distance_to_polyline_cm
 from flora_common.runs import CameraSection
 from flora_common.vision.path import curve
 from flora_common.vision.path.chain import Before, best_chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.evidence import Evidence
-from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import Strands, find_strands
 from flora_common.vision.path.tip import find_tip

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
-from flora_common.stem_range import StemRange, lengths_cm, range_of
+from flora_common.geometry import FloatArray, polyline_length
+from flora_common.stem_range import StemRange, range_of
 
 MET = StemRange(left_cm=-8.0, right_cm=9.0, lowest_tip_cm=6.0, highest_tip_cm=21.0, shortest_cm=6.5, longest_cm=24.0)
 
@@ -51,7 +51,7 @@ def test_a_stem_that_bends_more_than_any_is_longer_though_it_is_within_on_all_si
     far_cm, way = MET.beyond(to_and_fro)
 
     assert way == "longer"
-    assert far_cm == pytest.approx(lengths_cm(to_and_fro) - 24.0)
+    assert far_cm == pytest.approx(polyline_length(to_and_fro) - 24.0)
     assert far_cm > 20.0
 
 
@@ -63,7 +63,7 @@ def test_a_seedling_grows_into_the_range_and_a_stem_that_has_sunk_has_left_it() 
 def test_a_stem_that_grows_on_is_told_by_its_height_alone() -> None:
     taller = straight(0.0, 29.0)
 
-    assert lengths_cm(taller) > MET.longest_cm
+    assert polyline_length(taller) > MET.longest_cm
     assert MET.beyond(taller) == (8.0, "higher")
 
 

@@ -11,8 +11,9 @@ import pytest
 from uploader_fakes import rot
 
 from flora_common.errors import ConfigError, DiskFull, NasRefused, NasUnreachable, StoreError
-from flora_uploader.ledger import Found, Ledger
+from flora_uploader.ledger import Ledger
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem
+from flora_uploader.ledger_model import Found
 from flora_uploader.main import main
 from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph, kind_of
 from flora_uploader.target import FolderTarget, store_error

@@ -11,8 +11,9 @@ import pytest
 
 from flora_common.errors import StoreError
 from flora_uploader import reserve
-from flora_uploader.ledger import RESERVE_NAME, Found, Ledger
+from flora_uploader.ledger import RESERVE_NAME, Ledger
 from flora_uploader.ledger_damage import LedgerProblem
+from flora_uploader.ledger_model import Found
 from flora_uploader.reserve import RESERVE_BYTES, ROOM_TO_MAKE, Reserve
 
 

@@ -23,7 +23,8 @@ from flora_uploader import actions, reserve
 from flora_uploader.config import SWITCHED_OFF, UploaderSection
 from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, _lock
 from flora_uploader.ledger_damage import LedgerProblem
-from flora_uploader.main import LEDGER_AGAIN_S, RESERVE_EVERY_S, build
+from flora_uploader.main import build
+from flora_uploader.service import LEDGER_AGAIN_S, RESERVE_EVERY_S
 from flora_uploader.uploader import DISK_EVERY_S
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision import paper
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.picture import decode_picture
-from flora_common.vision.reading import OUTCOMES, bad_picture
+from flora_common.vision.reading import PictureOutcome, bad_picture
 from flora_common.vision.setup import from_pictures
 
 CAMERA = CameraSection((819.5, 1100.0), 18.0)
@@ -267,7 +268,7 @@ def test_random_pictures_give_finite_stems(picture: np.ndarray, background: np.n
     )
     for _ in range(2):
         reading = follow.read(picture)
-        assert reading.outcome in OUTCOMES
+        assert reading.outcome in get_args(PictureOutcome)
         assert 0.0 <= reading.quality <= 1.0
         if reading.points_cm is None:
             assert reading.outcome == "no_stem"

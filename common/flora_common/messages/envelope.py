@@ -12,12 +12,17 @@ from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
 
+from flora_common.shapes import FARTHEST_CM
+
+LONGEST_SENTENCE: Final = 500
+"""Characters of a :data:`Sentence`; longer ones are clipped by :func:`as_sentence` before they are sent."""
+
 # Named, so that each is made once: an annotation written out in a message is evaluated anew for each schema, and
 # typing may then give back an equal one that somebody made with whole numbers.
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Microseconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
-Cm = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
+Cm = Annotated[float, msgspec.Meta(ge=-FARTHEST_CM, le=FARTHEST_CM)]
 Millimetres = Annotated[float, msgspec.Meta(ge=-10_000.0, le=10_000.0)]
 MillimetresSd = Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -28,7 +33,7 @@ Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 # `$` alone lets a line feed through at the end in Python; `$(?!\n)` does not, and means the same in JSON Schema.
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$(?!\n)", max_length=64)]
-Sentence = Annotated[str, msgspec.Meta(max_length=500)]
+Sentence = Annotated[str, msgspec.Meta(max_length=LONGEST_SENTENCE)]
 RelativePath = Annotated[str, msgspec.Meta(max_length=255, pattern=r"^(?!/)(?!.*\.\.)[^\x00-\x1f\x7f]+$(?!\n)")]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", max_length=64)]
 OptionalSha256 = Annotated[str, msgspec.Meta(pattern=r"^([0-9a-f]{64})?$(?!\n)", max_length=64)]
@@ -76,6 +81,11 @@ class TopicSpec:
     period: Period
     keep: bool
     per_source: bool
+
+
+def as_sentence(text: str) -> str:
+    """As much of a text as a :data:`Sentence` holds."""
+    return text[:LONGEST_SENTENCE]
 
 
 CATALOGUE: dict[str, TopicSpec] = {}

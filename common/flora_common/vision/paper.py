@@ -36,7 +36,7 @@ from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, Px
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.picture import Picture, Reduction, checked_array, reduced_size
-from flora_common.vision.reading import JUMPED, NO_STEM, OK, TOUCHES_EDGE, StemReading
+from flora_common.vision.reading import JUMPED, OK, TOUCHES_EDGE, PictureOutcome, StemReading, no_stem
 from flora_common.vision.setup import SetupMatrices, green
 
 Mask = npt.NDArray[np.bool_]
@@ -143,7 +143,7 @@ class PaperTracker:
         """
         row, column = np.nonzero(self.stem_mask(picture))
         if row.size == 0:
-            return StemReading(NO_STEM, reason="no pixel in the window differs from the empty setup")
+            return no_stem("no pixel in the window differs from the empty setup")
         x, y = self._x_px[column], self._y_px[row]
         anchor = (float(self.camera.anchor_px[0]), float(self.camera.anchor_px[1]))
         previous = self.tip_px
@@ -166,7 +166,7 @@ class PaperTracker:
 
     def _judge(
         self, row: int, column: int, tip: tuple[float, float], previous: tuple[float, float] | None
-    ) -> tuple[str, str]:
+    ) -> tuple[PictureOutcome, str]:
         rows, columns = self._window
         if row == rows.start or column in (columns.start, columns.stop - 1):
             return TOUCHES_EDGE, "the tip lies on the edge of the window, the plant may go on beyond it"

@@ -7,14 +7,15 @@ from typing import Final, Literal
 
 from flora_common.geometry import FloatArray
 
+PictureOutcome = Literal["ok", "no_stem", "jumped", "occluded", "touches_edge", "bad_picture"]
+"""What can come of a picture; the bus has the same names, and one more for a tick without a picture."""
+
 OK: Final = "ok"
 NO_STEM: Final = "no_stem"
 JUMPED: Final = "jumped"
 OCCLUDED: Final = "occluded"
 TOUCHES_EDGE: Final = "touches_edge"
 BAD_PICTURE: Final = "bad_picture"
-OUTCOMES: Final = (OK, NO_STEM, JUMPED, OCCLUDED, TOUCHES_EDGE, BAD_PICTURE)
-"""Names of what can come of a picture. Those who read them must expect further ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +23,7 @@ class StemReading:
     """What came of one picture.
 
     Attributes:
-        outcome: one of :data:`OUTCOMES`.
+        outcome: see :data:`PictureOutcome`. Those who read it must expect further ones.
         quality: 0..1, the share of the stem that the picture itself shows; 0 without a stem.
         points_cm: shape (10, 2), finite; anchor (0, 0) first, tip last, x right, y up. None without a stem.
         tip_px: the tip in px of the full picture, x right, y down. None without a stem.
@@ -34,7 +35,7 @@ class StemReading:
         tip_choice: of the published method, ``c`` (furthest from the anchor) or ``h`` (highest).
     """
 
-    outcome: str
+    outcome: PictureOutcome
     quality: float = 0.0
     points_cm: FloatArray | None = None
     tip_px: tuple[float, float] | None = None

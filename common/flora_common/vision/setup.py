@@ -13,18 +13,18 @@ import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from flora_common import files
 from flora_common.errors import BadInput, BadPicture
+from flora_common.vision.lamp_states import MadeBy
 from flora_common.vision.picture import Picture, Reduction, checked_array, decode_picture, read_picture_bytes
 
 Float32Array = npt.NDArray[np.float32]
 
-MadeBy = Literal["background", "frames"]
 _FORMAT: Final = 1
 
 

@@ -32,7 +32,7 @@ _FEWEST: Final = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class BlackBox:
     """What is added to a simulated stem after each step.
 
     Attributes:
@@ -63,7 +63,7 @@ def seen(stems_cm: Array, light: Array, since_h: Array, time_h: Array, warmth_c:
     return np.concatenate([points, light, since_h[:, None], time_h[:, None], warmth_c[:, None]], axis=1)
 
 
-def learned(scenes: Sequence[Scene], runs: Sequence[Replayed]) -> Learned:
+def learned(scenes: Sequence[Scene], runs: Sequence[Replayed]) -> BlackBox:
     """Learn from what the simulator got wrong in one step.
 
     Args:
@@ -83,15 +83,15 @@ def learned(scenes: Sequence[Scene], runs: Sequence[Replayed]) -> Learned:
                 random_state=1,
             )
             models.append(model.fit(shown, wrong[:, point, axis]))
-    return Learned(tuple(models))
+    return BlackBox(tuple(models))
 
 
-def one_step_error_cm(scene: Scene, run: Replayed, box: Learned) -> Array:
+def one_step_error_cm(scene: Scene, run: Replayed, box: BlackBox) -> Array:
     """Measured minus predicted stems of a run, one step after a measured one, shape (m, 10, 2)."""
     return np.asarray(run.step_error_cm - box.residual_cm(_seen_of(scene, run)))
 
 
-def run_freely(scene: Scene, run: Replayed, traits: Array, box: Learned) -> Array:
+def run_freely(scene: Scene, run: Replayed, traits: Array, box: BlackBox) -> Array:
     """Stems after each step of a run, from its first one on, shape (steps, 10, 2).
 
     Args:

@@ -17,12 +17,10 @@ import numpy.typing as npt
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import FEATURES, WINDOW_H, Answers, Scene
+from flora_lab.simulator.drives import DAY_H, REFERENCE_CM
 from flora_lab.simulator.measured import STEP_S
 
 Array = npt.NDArray[Any]
-
-REFERENCE_CM: Final = 20.0
-DAY_H: Final = 24.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_lab.diagnose import light_plans
+from flora_lab.diagnose.diagnosis import SURE_ERRORS
 from flora_lab.evolve.controllers import INPUTS
 from flora_lab.evolve.episode import COLLISION
 from flora_lab.evolve.evaluate import evaluate
@@ -32,8 +33,6 @@ Kind = Literal["feedback", "plan"]
 
 SHORT_LIST: Final = 10
 """Controllers of the last generation that are tried on further plants of their own simulator; the best one is taken."""
-_SURE: Final = 2.0
-"""Standard errors that a cost must be away from none, before a share of it is told."""
 _TRAINED, _CHOSEN, _JUDGED = 101, 202, 303
 """Seeds of plants: those of evolution, of the choice, and those that judge."""
 
@@ -127,7 +126,7 @@ def controller_gain(
     home = _stacked(at_home)
     apart = judged["extended"].fitness.mean(axis=1) - judged["base"].fitness.mean(axis=1)
     cost = home.fitness.mean(axis=1) - judged["base"].fitness.mean(axis=1)
-    is_sure = cost.mean() > _SURE * _standard_error(cost)
+    is_sure = cost.mean() > SURE_ERRORS * _standard_error(cost)
     return {
         "task": task.name,
         "kind": kind,

@@ -14,7 +14,7 @@ import msgspec
 
 from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
 from flora_lab.diagnose.controllers_told import for_plans, judged_on
-from flora_lab.diagnose.work import Result, Stage
+from flora_lab.diagnose.work import OnStage, Result
 from flora_lab.evolve.task import Task
 
 EFFORT: Final = Effort(seeds=5, generations=30, population=40, individuals=12, judges=24)
@@ -26,7 +26,7 @@ _ONLY_IF_TOLD: Final = "temperature_growth"
 
 
 def compared(
-    result: Result, task: Task, stage: Stage, note: Callable[[str], None], effort: Effort | None = None
+    result: Result, task: Task, stage: OnStage, note: Callable[[str], None], effort: Effort | None = None
 ) -> Result:
     """A diagnosis with ``gain.controller_fitness``, for both kinds of controllers.
 

@@ -11,17 +11,15 @@ from dataclasses import replace
 from typing import Any, Final
 
 from flora_lab import html_page
+from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES, SURE_ERRORS
 from flora_lab.evolve.task import Task
 
 KINDS: Final = {"feedback": "controllers that see the stem", "plan": "light plans, which see nothing"}
 WHERE: Final = {
     "without_effect": "simulator as it is, on its own plants",
-    "base": "simulator as it is",
-    "extended": "extended simulator",
+    **SIMULATOR_NAMES,
 }
 """Where controllers were evolved, and on which plants they were run if not on those with the causes."""
-_SURE: Final = 2.0
-"""Standard errors that a difference must be away from none to be more than chance."""
 _COLUMNS: Final = ("fitness", "worst plant", "sd of plants", "sd of evolutions", "collisions")
 _SHORT: Final = ("fitness", "worst plant", "collisions")
 """What a terminal has room for."""
@@ -120,7 +118,7 @@ def _cells(own: Mapping[str, Any]) -> list[str]:
 
 
 def _is_sure(told: Mapping[str, float]) -> bool:
-    return abs(told["mean"]) > _SURE * told["standard_error"]
+    return abs(told["mean"]) > SURE_ERRORS * told["standard_error"]
 
 
 def _with_error(told: Mapping[str, float], of: Any = float) -> str:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_lab.simulator.drives import DAY_H
+
 if TYPE_CHECKING:
     from flora_lab.diagnose.scene import Scene
 
@@ -22,7 +24,6 @@ _LEAN_CM: Final = 5.0
 _BESIDE_CM: Final = 2.0
 _MIDDLE_HEIGHT_CM: Final = 13.0
 _HEIGHT_CM: Final = 8.0
-DAY_H: Final = 24.0
 _HISTORY_H: Final = 6.0
 _AFTER_SWITCH_H: Final = 2.0
 _EVERY_H: Final = 6.0

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 
 Verdict = Literal["nothing_wrong", "explained", "unexplained"]
+
+HORIZONS_H: Final = (1.0, 6.0, 24.0)
+END: Final = "end"
+"""Times after the first stem at which errors of a free run are told, and the key of its end."""
+AROUND_H: Final = 0.5
+"""Errors at a time are means over so much before and after it."""
+SIMULATOR_NAMES: Final = {"base": "simulator as it is", "extended": "extended simulator"}
+SURE_ERRORS: Final = 2.0
+"""Standard errors that a mean must be away from none to be more than chance."""
 
 
 class NamedCause(msgspec.Struct, frozen=True):
@@ -16,7 +25,8 @@ class NamedCause(msgspec.Struct, frozen=True):
         effect: its name in the catalogue.
         parameters: by name; units stand in the names.
         interval: of 90 %, by the same names.
-        confidence: probability that it is this one, or one of those that these data cannot tell from it.
+        confidence: probability that it is this one, or one of those that these data cannot tell from it. Of a
+            learned simulator as a whole both rest on less, see :mod:`flora_lab.diagnose.learned_simulator`.
         p_value: how often runs without any effect show as much evidence, at most.
         confusable_with: effects that these data cannot tell from it.
         evidence: a sentence.

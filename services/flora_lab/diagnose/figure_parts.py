@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
+from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.residual_statistics import SIDES
 from flora_lab.figure_style import BLUE, GRID, ORANGE
@@ -19,7 +20,6 @@ CHANCE: Final = "#d9dde2"
 LAMP_TINTS: Final = {"left": "#e6effa", "right": "#fff4d0"}
 """Paler than the lamps' own colours, so that lines stand out before them."""
 WIDE_IN: Final = 9.6
-_NAMES: Final = {"measured": "measured", "base": "simulator as it is", "extended": "extended simulator"}
 
 
 def lamps(ax: Axes, run: Replayed) -> None:
@@ -50,12 +50,12 @@ def legend(
 ) -> None:
     """What the colours mean, in one row above the picture."""
     marks: list[Any] = [Line2D([], [], color=MEASURED, linewidth=2)] if measured else []
-    names = [_NAMES["measured"]] if measured else []
+    names = ["measured"] if measured else []
     marks.append(Line2D([], [], color=BLUE, linewidth=2))
-    names.append(_NAMES["base"])
+    names.append(SIMULATOR_NAMES["base"])
     if with_extended:
         marks.append(Line2D([], [], color=ORANGE, linewidth=2))
-        names.append(_NAMES["extended"])
+        names.append(SIMULATOR_NAMES["extended"])
     if chance or reference:
         marks.append(Patch(color=CHANCE))
         names.append("9 of 10 plants, if nothing were wrong" if chance else "reference runs")

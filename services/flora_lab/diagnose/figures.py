@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from flora_lab.diagnose import residual_statistics as statistics
+from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES
 from flora_lab.diagnose.figure_parts import CHANCE, LAMP_TINTS, MEASURED, WIDE_IN, legend
 from flora_lab.diagnose.replayed import MM
-from flora_lab.diagnose.residuals import FINE_BINS, FINE_H, PERIODS_H, ResidualTables
+from flora_lab.diagnose.residuals import FINE_BINS, FINE_H, SWING_PERIODS_H, ResidualTables
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.figure_style import BLUE, GREY, GRID, ORANGE, drawable, new_figure, png
 
@@ -25,8 +26,7 @@ _LOWEST_NATS: Final = -6.0
 _LEAST_SWING_MM: Final = 0.1
 _CHANCE_SD: Final = 2.0
 GAIN_NAMES: Final = {
-    "base": "simulator as it is",
-    "extended": "extended simulator",
+    **SIMULATOR_NAMES,
     "boosted": "black box on top (boosting)",
     "still": "“nothing moves”",
 }
@@ -113,14 +113,14 @@ def spectra(base: ResidualTables, swing: Swing | None) -> bytes:
     ax = figure.subplots()
     marks: list[Any] = [Line2D([], [], color=BLUE, linewidth=1.5)]
     names = ["measured runs"]
-    usual = base.reference.swing_mm if base.reference is not None else np.empty((0, len(PERIODS_H)))
+    usual = base.reference.swing_mm if base.reference is not None else np.empty((0, len(SWING_PERIODS_H)))
     usual = usual[np.isfinite(usual).all(axis=1)]
     if len(usual):
-        ax.fill_between(PERIODS_H, usual.min(axis=0), usual.max(axis=0), color=CHANCE, linewidth=0)
-        ax.plot(PERIODS_H, np.median(usual, axis=0), color=GREY, linewidth=1.0)
+        ax.fill_between(SWING_PERIODS_H, usual.min(axis=0), usual.max(axis=0), color=CHANCE, linewidth=0)
+        ax.plot(SWING_PERIODS_H, np.median(usual, axis=0), color=GREY, linewidth=1.0)
         marks += [Line2D([], [], color=GREY, linewidth=1.0), Patch(color=CHANCE)]
         names += ["reference runs, median", "all of them"]
-    ax.plot(PERIODS_H, base.shown.swing_mm.T, color=BLUE, linewidth=1.5)
+    ax.plot(SWING_PERIODS_H, base.shown.swing_mm.T, color=BLUE, linewidth=1.5)
     if swing is not None:
         ax.axvspan(*swing.period_interval_h, color=ORANGE, alpha=0.25, linewidth=0)
         ax.axvline(swing.period_h, color=ORANGE, linewidth=1.4)
@@ -138,7 +138,7 @@ def spectra(base: ResidualTables, swing: Swing | None) -> bytes:
     ax.set_yscale("log")
     ax.set_ylim(top=4.0 * float(np.nanmax([*base.shown.swing_mm.ravel(), _LEAST_SWING_MM])))
     ax.set_xscale("log")
-    ax.set_xlim(PERIODS_H[0], PERIODS_H[-1])
+    ax.set_xlim(SWING_PERIODS_H[0], SWING_PERIODS_H[-1])
     ax.set_xticks([0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0], ["0.75", "1", "1.5", "2", "2.5", "3", "4"])
     ax.set_xticks([], minor=True)
     ax.yaxis.set_major_formatter(lambda value, _place: f"{value:g}")

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from flora_common.geometry import FloatArray
 from flora_common.runs import Light
-from flora_lab.diagnose.figure_parts import MEASURED, legend
+from flora_lab.diagnose.figure_parts import MEASURED, WIDE_IN, legend
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.residuals import ResidualTables
 from flora_lab.figure_style import BLUE, LAMP_COLOURS, ORANGE, drawable, new_figure
@@ -23,7 +23,6 @@ FRAMES: Final = 73
 """One an hour for a run of three days."""
 FRAME_MS: Final = 130
 MOST_PANELS: Final = 4
-WIDE_IN: Final = 9.6
 WIDEST_PANEL_IN: Final = 3.2
 TALLEST_IN: Final = 4.4
 DPI: Final = 100

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_lab.diagnose import boosting
-from flora_lab.diagnose.diagnosis import Gain
+from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, Gain
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.joint import Base, Found, Joint, evidence_for_last
 from flora_lab.diagnose.replayed import Replayed, replayed
@@ -25,10 +25,6 @@ from flora_lab.effects.effect import Change
 
 Array = npt.NDArray[Any]
 
-HORIZONS_H: Final = (1.0, 6.0, 24.0)
-END: Final = "end"
-AROUND_H: Final = 0.5
-"""Errors at a time are means over so much before and after it."""
 SIMULATORS: Final = ("base", "extended", "boosted", "still")
 POOLED: Final = "_rms"
 """Ends the key of a simulator's pooled root mean square; without it stands the median over runs."""
@@ -142,7 +138,7 @@ def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
     return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
 
 
-def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.Learned) -> dict[str, _Errors]:
+def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.BlackBox) -> dict[str, _Errors]:
     extended = replayed(scene, base, base.mean, base.mean, np.zeros(2), change)
     rows = as_it_is.step_rows
     moved = scene.run.points_cm[rows + 1] - scene.run.points_cm[rows]

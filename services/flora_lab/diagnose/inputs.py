@@ -15,17 +15,13 @@ from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.run_tracks import RunTrack, load_runs
-from flora_lab.simulator.measured import STEP_S, MeasuredRun, in_steps
+from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
 Array = npt.NDArray[Any]
 
 SHORTEST_H: Final = 6.0
 FEWEST_REFERENCES: Final = 3
-_SLOWER: Final = 1.2
-"""Rows that are told more seldom than every so many steps of five minutes make longer steps."""
-_MINUTE_S: Final = 60.0
-_LONGEST_STEP_S: Final = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +65,7 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
         )
     measured, notes = [], []
     for track in tracks:
-        run, found = record.cleaned(in_steps(track, _step_s(track)))
+        run, found = record.cleaned(in_steps(track, step_of(track.track.time_s)))
         if run.hours < SHORTEST_H:
             raise BadInput(f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed")
         pairs = run.is_measured[1:] & run.is_measured[:-1]
@@ -134,12 +130,3 @@ def _check_others(runs: Runs, measured: Runs, why: str) -> None:
         twin = own.get(track.sha256)
         if twin is not None:
             raise BadInput(f"{track.file}: is also to be diagnosed ({twin.file}); {why}")
-
-
-def _step_s(track: RunTrack) -> float:
-    """Five minutes, or what lies between rows where that is longer."""
-    times = track.track.time_s
-    between_s = float(np.median(np.diff(times))) if len(times) > 1 else STEP_S
-    if between_s <= _SLOWER * STEP_S:
-        return STEP_S
-    return min(_LONGEST_STEP_S, _MINUTE_S * round(between_s / _MINUTE_S))

@@ -3,6 +3,9 @@
 Both are the paper's own: pairs of photographs in which a stem does not move by a pixel were dropped, which leaves
 plants that live too fast; and single shuffled steps carry nothing from one to the next, so that whatever a plant
 remembers of its light and of its own motion cannot be in the model.
+
+Intervals and confidences of these two faults are no posterior, as those of causes of the catalogue are, though they
+stand in the same columns and are shown as 90 %. Each constant says what it rests on.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy.typing as npt
 
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.rollout.intervals import LEVEL
 from flora_lab.rollout.time_scale import TimeScale, best_time_scale
 from flora_lab.simulator.interface import History, Simulator
 from flora_lab.simulator.load import simulator_of
@@ -29,11 +33,23 @@ _CLEAR: Final = 1.15
 """A clock that is wrong by less is not told from individuals."""
 _BETTER: Final = 0.9
 """The error at the right clock, over that at the simulator's own, below which it matters."""
+_SURE_BY_PLANTS: Final = LEVEL
+"""Confidence in a wrong clock where the interval over plants excludes 1: that interval's own level. With fewer than six
+plants it holds less, with three plants three in four, see :mod:`flora_lab.rollout.intervals`; it is told as 90 %."""
+_SURE_BY_ERROR: Final = 0.8
+"""Confidence in a wrong clock of too few plants for an interval: chosen, to be below the other; nothing was counted."""
+_NEAR_BEST: Final = 1.1
+"""Error over the least one up to which factors count as its interval then: chosen, of no known level."""
 _SHIFTS: Final = 400
 _MOMENTS: Final = 24
 """How often it is looked whether the simulator cares for the past."""
 _PAST_H: Final = 6.0
 _P_CLAIM: Final = 0.01
+_SURE_OF_MEMORY: Final = 0.97
+"""Confidence in a memory that the simulator lacks: chosen, nothing was counted. What is measured is ``p_value``, and
+:data:`_P_CLAIM` the most of it with which one is told."""
+_MEMORY_TIMES: Final = 2.0
+"""A memory's time constant is told to lie between its estimate over this and times this: chosen, of no known level."""
 _SAME_CM: Final = 1e-6
 
 
@@ -50,11 +66,11 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
     if scale.error_mm > _BETTER * scale.error_as_is_mm or abs(math.log(factor)) < math.log(_CLEAR):
         return None
     if low is None or high is None:
-        low, high, sure = *_by_error(scale), 0.8
+        low, high, sure = *_by_error(scale), _SURE_BY_ERROR
     elif low <= 1.0 <= high:
         return None
     else:
-        sure = 0.95
+        sure = _SURE_BY_PLANTS
     effect = BY_NAME["time_scale"]
     told = (
         f"; the tip error falls from {scale.error_as_is_mm:.0f} to {scale.error_mm:.0f} mm when its clock is set right"
@@ -73,8 +89,8 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
 
 
 def _by_error(scale: TimeScale) -> tuple[float, float]:
-    """Factors at which the error is at most a tenth more than at the best: what too few plants allow to say."""
-    near = scale.factors[scale.errors_mm <= 1.1 * scale.errors_mm.min()]
+    """Factors at which the error is hardly more than at the best: what too few plants allow to say."""
+    near = scale.factors[scale.errors_mm <= _NEAR_BEST * scale.errors_mm.min()]
     return float(near.min()), float(near.max())
 
 
@@ -100,8 +116,8 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
     return NamedCause(
         effect="memory",
         parameters={"time_constant_h": hours},
-        interval={"time_constant_h": (hours / 2.0, hours * 2.0)},
-        confidence=0.97,
+        interval={"time_constant_h": (hours / _MEMORY_TIMES, hours * _MEMORY_TIMES)},
+        confidence=_SURE_OF_MEMORY,
         p_value=float(p_value),
         confusable_with=[],
         evidence=(

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from flora_lab import html_page
-from flora_lab.diagnose.mended_simulator import BASE, CLOCK, END, MEAN, MEMORY, NO_MEMORY, STILL
+from flora_lab.diagnose.diagnosis import END
+from flora_lab.diagnose.mended_simulator import BASE, CLOCK, MEAN, MEMORY, NO_MEMORY, STILL
 
 _TITLES: Final = {
     BASE: "as learned",

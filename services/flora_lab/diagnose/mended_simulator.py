@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.geometry import FloatArray
-from flora_lab.diagnose.diagnosis import NamedCause
+from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, NamedCause
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.time_scale import best_time_scale
 from flora_lab.simulator.interface import Simulator
@@ -27,8 +27,6 @@ from flora_lab.simulator.remembering import FEATURES, RememberingSimulator, feat
 
 RIDGES: Final = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Penalties beside a mean square of 1 of each feature."""
-HORIZONS_H: Final = (1.0, 6.0, 24.0)
-END: Final = "end"
 MEAN: Final = "mean"
 BASE, CLOCK, NO_MEMORY, MEMORY, STILL = "base", "clock", "clock and rest", "clock and memory", "still"
 """As it is; its clock set right; beside that a linear rest without traces; with them; and a stem that stays."""
@@ -38,7 +36,6 @@ BoolArray = npt.NDArray[np.bool_]
 _WINDOW_H: Final = 1.0
 _EVERY: Final = 3
 _SEED: Final = 1
-_AROUND_H: Final = 0.5
 _TRACES: Final = slice(1 + COORDINATES, FEATURES)
 
 
@@ -192,7 +189,7 @@ def _errors(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dic
         off_mm = 10.0 * np.linalg.norm(stems[:, -1] - run.points_cm[:, -1], axis=-1)
         hours = np.arange(len(run)) * run.step_s / 3600.0
         for name, when in (*((f"{h:g}h", h) for h in HORIZONS_H), (END, run.hours)):
-            about = (np.abs(hours - when) <= _AROUND_H + 1e-9) & np.isfinite(off_mm)
+            about = (np.abs(hours - when) <= AROUND_H + 1e-9) & np.isfinite(off_mm)
             if when <= run.hours and about.any():
                 at.setdefault(name, []).append(float(off_mm[about].mean()))
         at.setdefault(MEAN, []).append(float(np.nanmean(off_mm[1:])))

@@ -44,7 +44,7 @@ class Shown:
         by_switch_mm: sideways residual by side and time since the switch, shape (runs, 2, FINE_BINS).
         by_clock_mm_h: growth residual by hours since the start, modulo a day, shape (runs, CLOCKS).
         profile_mm: root mean square of points 2 to 10, shape (runs, 9).
-        swing_mm: amplitude of the swing of the tip that the simulator lacks, at :data:`PERIODS_H`, by plants with
+        swing_mm: amplitude of the swing of the tip that the simulator lacks, at :data:`SWING_PERIODS_H`, by plants with
             constants of their own, shape (runs, 200).
     """
 
@@ -91,7 +91,8 @@ class ResidualTables:
 FINE_H: Final = 0.5
 FINE_BINS: Final = 24
 """The times since a switch of ``by_switch_mm``: half hours, up to twelve hours."""
-PERIODS_H: Final = np.geomspace(0.75, 4.0, 200)
+SWING_PERIODS_H: Final = np.geomspace(0.75, 4.0, 200)
+"""Where the amplitude of a swing is told."""
 _LINES: Final = 3
 """Neighbouring lines of a spectrum over which a swing that does not keep its phase is spread."""
 
@@ -180,9 +181,9 @@ def _swing_mm(run: Replayed) -> Array:
     """Amplitude of a swing that would have the power in a narrow band about each period."""
     own = spectrum(run.error_mm("own")[:, -1, 0], run.step_h)
     if len(own.per_hour) < _LINES:
-        return np.full(len(PERIODS_H), np.nan)
+        return np.full(len(SWING_PERIODS_H), np.nan)
     line = own.per_hour[1] - own.per_hour[0]
-    density = np.interp(1.0 / PERIODS_H, own.per_hour, statistics.smoothed(own.power, _LINES))
+    density = np.interp(1.0 / SWING_PERIODS_H, own.per_hour, statistics.smoothed(own.power, _LINES))
     return np.asarray(np.sqrt(4.0 * density * line * _LINES))
 
 

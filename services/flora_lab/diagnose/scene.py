@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.courses import Course, moments_of
 from flora_lab.diagnose.first_stem import first_stem
@@ -294,7 +295,7 @@ class Scene:
         base, *pushed = np.split(features, np.cumsum([1, *knots.values()])[:-1])
         to = {name: (own - base).T / _PUSH[name] for name, own in zip(KNOT_H, pushed, strict=True)}
         at_h = {name: (np.arange(knots[name]) + 0.5) * per_knot[name] * self.step_h for name in KNOT_H}
-        lengths = np.hypot(*np.moveaxis(np.diff(still, axis=1), -1, 0)).sum(axis=1)
+        lengths = polyline_length(still)
         length_cm = np.interp(at_h["bias"], self._told_h, lengths)
         return Answers(to, at_h, length_cm, self._to_gaps(traits, change, base[0]))
 

@@ -16,11 +16,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_lab.diagnose.courses import COURSES, DAY_H, Course, Push, moments_of
+from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
+from flora_lab.simulator.drives import DAY_H
 
 Array = npt.NDArray[Any]
 

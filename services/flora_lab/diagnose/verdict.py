@@ -22,7 +22,7 @@ from flora_lab.effects.effect import Effect, Parameter, is_same
 
 Array = npt.NDArray[Any]
 
-TEMPERATURE: Final = 2.0
+SOFTMAX_TEMPERATURE: Final = 2.0
 """Nats are divided by it: models are never as right as their likelihoods take them to be. Chosen on drawn runs of the
 seeds 1000 to 18999 (``tests/discovery``)."""
 ALIKE: Final = 4.0
@@ -223,7 +223,7 @@ def _is_as_good(best: Tried, other: Tried) -> bool:
 def _confidence(stage: Stage, alike: Sequence[Tried]) -> float:
     """Probability of the best cause, or of one that cannot be told from it."""
     gains = np.array([tried.gain for tried in stage.tried])
-    logs = np.append(gains / TEMPERATURE, np.log(NOTHING_FIRST))
+    logs = np.append(gains / SOFTMAX_TEMPERATURE, np.log(NOTHING_FIRST))
     weights = scipy.special.softmax(logs)
     names = {stage.tried[0].effect.name, *(t.effect.name for t in alike)}
     return float(sum(w for w, t in zip(weights, stage.tried, strict=False) if t.effect.name in names))

@@ -11,6 +11,7 @@ from flora_lab.diagnose import chance
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.scene import KNOT_H, USUAL, Lanes, Scene
 from flora_lab.effects.effect import Change
+from flora_lab.simulator.drives import REFERENCE_CM
 
 Array = npt.NDArray[Any]
 
@@ -55,5 +56,5 @@ def _course(rng: np.random.Generator, part: chance.Part, scene: Scene, length_cm
     root = directions * np.sqrt(np.maximum(values, _JITTER))
     course = np.repeat(root @ rng.standard_normal((knots, PLANTS)), per_knot, axis=0)[: scene.steps]
     if part.name.startswith("nutation"):
-        course = course * ((length_cm / chance.REFERENCE_CM) ** 2)[:, None]
+        course = course * ((length_cm / REFERENCE_CM) ** 2)[:, None]
     return np.asarray(course)

@@ -39,7 +39,7 @@ from flora_lab.simulator.store import Extension, Provenance, Stored, TrackEntry,
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
 
-Stage = Callable[[str, int], Callable[[], None]]
+OnStage = Callable[[str, int], Callable[[], None]]
 """Begins a stage of so many steps, and is told of each."""
 
 IN_PLANTS: Final = ("plant", "simulator")
@@ -96,7 +96,7 @@ class Result:
 
 
 def start_from(
-    runs: Runs, held_out: Runs | None, simulator: Path | None, reference: Path | None, stage: Stage
+    runs: Runs, held_out: Runs | None, simulator: Path | None, reference: Path | None, stage: OnStage
 ) -> Start:
     """Learn the base, or read it.
 
@@ -141,7 +141,7 @@ def start_from(
     return replace(start, judged=stored)
 
 
-def _learned(told: Runs, provenance: Provenance, words: str, stage: Stage) -> Start:
+def _learned(told: Runs, provenance: Provenance, words: str, stage: OnStage) -> Start:
     usual_c = told.usual_temperature_c()
     step = stage("learning from the reference", ROUNDS)
     with one_blas_thread():
@@ -157,7 +157,7 @@ def diagnose(
     simulator: Path | None,
     reference: Path | None,
     holdout: Sequence[Path],
-    stage: Stage,
+    stage: OnStage,
     note: Callable[[str], None],
 ) -> Result:
     """The whole of it.

@@ -21,20 +21,17 @@ import numpy.typing as npt
 
 from flora_lab.simulator.fast_product import LANES, ROWS, product_of_tile
 from flora_lab.simulator.fast_tanh import tanh_parts
+from flora_lab.simulator.lstm_rows import lined_up
 from flora_lab.simulator.rod import jit
 
 Array = npt.NDArray[Any]
 
-_LINE_BYTES: Final = 64
 _HALF: Final = np.float32(0.5)
 
 
 def tiles(count: int, rows: int) -> Array:
-    """Room for so many tiles, shape (count, rows * LANES), float32, not filled."""
-    size = count * rows * LANES
-    room = np.empty(size + _LINE_BYTES // 4, dtype=np.float32)
-    first = -room.ctypes.data % _LINE_BYTES // 4
-    return room[first : first + size].reshape(count, rows * LANES)
+    """Room for so many tiles, shape (count, rows * LANES), float32 zeros."""
+    return lined_up((count, rows * LANES))
 
 
 @jit

@@ -18,6 +18,7 @@ from flora_common.errors import BadInput
 from flora_common.geometry import FloatArray
 from flora_common.open_loop import PAPERS_TURNS, open_loop_side
 from flora_common.runs import LEVELS
+from flora_common.shapes import FARTHEST_CM
 from flora_common.stem_range import StemRange, range_of
 from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.task import Task
@@ -26,8 +27,6 @@ from flora_lab.simulator.measured import STEP_S
 
 MOST_PLANTS: Final = 32
 """Of drawn plants, the first so many are simulated: more would widen the range by less than any margin."""
-FARTHEST_CM: Final = 500.0
-"""A stem that goes farther is no plant any more, and told of no more."""
 
 
 def reach(simulator: Simulator[Any], task: Task, individuals: Individuals) -> StemRange:
@@ -77,7 +76,7 @@ def _led(
     for k in range(task.most_steps):
         lights = [LEVELS["left"], LEVELS["right"], LEVELS[open_loop_side(k * STEP_S, PAPERS_TURNS)]]
         state, stems = simulator.step(state, np.tile(np.array(lights), (len(plants), 1)), STEP_S)
-        # written so that NaN fails it too
+        # a stem that goes farther is no plant any more, and told of no more; written so that NaN fails it too
         is_plant = np.asarray((np.abs(stems) <= FARTHEST_CM).all(axis=(1, 2)), dtype=np.bool_)
         yield (k + 1) * STEP_S / 3600.0, stems[running], is_plant[running]
         running &= is_plant & (stems[:, -1, 1] < task.stop_height_cm)

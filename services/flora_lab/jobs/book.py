@@ -11,6 +11,7 @@ from flora_common import files
 from flora_common.errors import BadInput, StoreError
 from flora_common.messages import Job, JobProgress
 from flora_common.messages.catalogue import JobStage
+from flora_common.messages.envelope import as_sentence
 from flora_lab.jobs import rules
 
 BOOK_FILE: Final = "jobs.json"
@@ -19,7 +20,6 @@ MOST_KEPT: Final = 200
 """Jobs that are over; older ones are forgotten."""
 MOST_KILLED: Final = 3
 """So often a lab may be killed while it is at work on a job, which then has failed: it may be what kills it."""
-_MOST_TEXT: Final = 500
 
 
 class Entry(msgspec.Struct):
@@ -106,7 +106,7 @@ class Book:
             rules.check(asked.work, asked.arguments)
         except BadInput as problem:
             # Not noted: whoever asks for nonsense a thousand times must not push out what was done.
-            entry.stage, entry.text = "refused", str(problem)[:_MOST_TEXT]
+            entry.stage, entry.text = "refused", as_sentence(str(problem))
             return entry
         self.jobs.append(entry)
         try:
@@ -146,7 +146,7 @@ class Book:
 
     def ends(self, entry: Entry, stage: JobStage, text: str, *, utc: str, took_s: float) -> None:
         """It is over."""
-        entry.stage, entry.text, entry.ended, entry.took_s = stage, " ".join(text.split())[:_MOST_TEXT], utc, took_s
+        entry.stage, entry.text, entry.ended, entry.took_s = stage, as_sentence(" ".join(text.split())), utc, took_s
         over = [one for one in self.jobs if one.is_over]
         for old in over[: max(0, len(over) - MOST_KEPT)]:
             self.jobs.remove(old)
@@ -168,7 +168,7 @@ class Book:
             work=entry.work,
             stage=entry.stage,
             share=1.0 if entry.stage == "done" else None if is_over else share,
-            text=(entry.text if is_over else text)[:_MOST_TEXT],
+            text=as_sentence(entry.text if is_over else text),
             before=before,
             took_s=entry.took_s if is_over else took_s,
         )

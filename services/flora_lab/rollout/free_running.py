@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.geometry import FloatArray
+from flora_common.geometry import polyline_length as length_cm
 from flora_lab.simulator.interface import History, IntArray, Simulator
 from flora_lab.simulator.measured import Batch, MeasuredRun, side_by_side
 
@@ -75,12 +76,6 @@ class OneStep:
 
     run: IntArray
     errors: Errors
-
-
-def length_cm(points_cm: FloatArray) -> FloatArray:
-    """Length of the polyline through stems of shape (..., 10, 2)."""
-    length: FloatArray = np.hypot(*np.moveaxis(np.diff(points_cm, axis=-2), -1, 0)).sum(axis=-1)
-    return length
 
 
 def errors_between(simulated_cm: FloatArray, measured_cm: FloatArray, start_cm: FloatArray) -> Errors:

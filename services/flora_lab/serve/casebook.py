@@ -10,6 +10,7 @@ from typing import Final
 from flora_common.errors import BadInput
 from flora_common.messages import DiagnosisFound
 from flora_common.messages.catalogue import MOST_CAUSES, Verdict
+from flora_common.messages.envelope import as_sentence
 from flora_lab.serve import found, ledger
 from flora_lab.serve.child import Ended
 from flora_lab.serve.ledger import Entry, Ledger
@@ -166,7 +167,7 @@ def message_of(entry: Entry) -> DiagnosisFound:
         confidence=tuple(min(max(float(cause["confidence"]), 0.0), 1.0) for cause in causes),
         path=entry.folder[:500],
         track_sha256=entry.track_sha256,
-        sentence=(entry.summary or entry.reason)[:500],
+        sentence=as_sentence(entry.summary or entry.reason),
     )
 
 

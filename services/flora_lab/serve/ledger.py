@@ -10,6 +10,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput, StoreError
+from flora_common.messages.envelope import as_sentence
 
 LEDGER_FILE: Final = "ledger.json"
 MOST_ATTEMPTS: Final = 3
@@ -125,7 +126,7 @@ class Ledger:
 
 def failed(entry: Entry, reason: str, *, is_final: bool) -> None:
     """An attempt ended without a result; after the last one it has failed."""
-    entry.reason = " ".join(reason.split())[:500]
+    entry.reason = as_sentence(" ".join(reason.split()))
     if is_final or entry.attempts >= MOST_ATTEMPTS:
         entry.stage = "failed"
 

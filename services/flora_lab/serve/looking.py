@@ -6,7 +6,6 @@ import functools
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -25,14 +24,12 @@ from flora_lab.serve.departing import Watched
 from flora_lab.serve.heard import Row
 from flora_lab.serve.tasks import LearnTask, LookTask
 from flora_lab.serve.watching import Looked
-from flora_lab.simulator.measured import STEP_S, MeasuredRun, in_steps
+from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import Provenance, TrackEntry, read_stored, software
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
-
-_LONGEST_STEP_S: Final = 1800.0
 
 
 def learned(task: LearnTask) -> Path:
@@ -95,8 +92,7 @@ def measured(name: str, rows: list[Row], lamps: LampsSection) -> MeasuredRun:
     time_s = np.array([row.time_s for row in found])
     points = np.array([row.points_cm for row in found]).reshape(-1, STEM_POINTS, 2)
     lights: list[Light] = [row.light or "dark" for row in found]
-    between_s = float(np.median(np.diff(time_s)))
-    step_s = STEP_S if between_s <= 1.2 * STEP_S else min(_LONGEST_STEP_S, 60.0 * round(between_s / 60.0))
+    step_s = step_of(time_s)
     run = in_steps(RunTrack(name, name, Path(name), "", Track(time_s, tuple(lights), points, {}), lamps), step_s)
     told = [row for row in rows if row.light is not None]
     ends = run.time_s[1:]

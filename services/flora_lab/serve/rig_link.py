@@ -9,6 +9,7 @@ from flora_common.app import App
 from flora_common.bus import BusClient
 from flora_common.errors import FloraError
 from flora_common.messages import ControllerState, Frame, Lamps, Message, Recording, Stem
+from flora_common.messages.envelope import as_sentence
 from flora_common.service import default_clock
 from flora_lab.serve.section import LabSection
 
@@ -57,6 +58,6 @@ class RigLink:
             try:
                 self._heard(message)
             except FloraError as problem:
-                self._app.trouble("heard", str(problem)[:500])
+                self._app.trouble("heard", as_sentence(str(problem)))
             else:
                 self._app.trouble("heard", "")

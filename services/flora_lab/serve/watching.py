@@ -15,6 +15,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.messages import ControllerState, Departure, Frame, Lamps, Recording, Stem
+from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light
 from flora_lab.serve.heard import ROWS_FILE, Heard, Row, of_hours, row_of, whole_hours
 
@@ -194,7 +195,7 @@ class Watch:
                 up_mm=_within(looked.error_mm[1]),
                 expected_mm=_within(looked.expected_mm),
                 compared_with="watched" if looked.is_watched else "typical",
-                sentence=looked.sentence[:500],
+                sentence=as_sentence(looked.sentence),
             )
         self._keep(_Kept(against, looked.watched, look.hours, departed, to_say))
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.law import Law, standing
@@ -163,7 +164,7 @@ class Observed:
             points = self.points(lanes, bias=push) if name == "bias" else self.points(lanes, growth=1.0 + push)
             middle_h = (np.arange(knots) + 0.5) * per_knot * self.step_h
             found[name] = ((self.of_points(points) - base).T / _PUSH[name], middle_h)
-        lines = np.hypot(*np.moveaxis(np.diff(still[:, 0], axis=1), -1, 0)).sum(axis=1)
+        lines = polyline_length(still[:, 0])
         row_h = (np.arange(len(lines)) + 1) * self.every * self.step_h
         length_cm = np.interp(found["bias"][1], row_h, lines)
         return Responses(found["bias"][0], found["growth"][0], found["bias"][1], found["growth"][1], length_cm)

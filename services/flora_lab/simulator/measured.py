@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
-from flora_common.stem_range import lengths_cm
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.interface import IntArray
 
@@ -24,6 +23,10 @@ NEAR_SHARE: Final = 0.35
 """How far from its place in the grid a row may lie, as a share of the step, to be taken for it."""
 LEAST_CM: Final = 0.1
 """What is shorter is no stem to start from."""
+_SLOWER: Final = 1.2
+"""Rows that are told more seldom than every so many steps of five minutes make longer steps."""
+_MINUTE_S: Final = 60.0
+_LONGEST_STEP_S: Final = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,17 @@ class MeasuredRun:
         )
 
 
+def step_of(time_s: FloatArray) -> float:
+    """The step in s that suits rows at these times, shape (n,): five minutes, or what lies between them where longer.
+
+    Longer ones are whole minutes, half an hour at most.
+    """
+    between_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else STEP_S
+    if between_s <= _SLOWER * STEP_S:
+        return STEP_S
+    return min(_LONGEST_STEP_S, _MINUTE_S * round(between_s / _MINUTE_S))
+
+
 def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     """A run's track on a grid of equal steps from its first row.
 
@@ -112,7 +126,7 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         raise BadInput(f"{run.file}: holds one stem; at least two are needed")
     place = (track.time_s - track.time_s[0]) / step_s
     index = np.rint(place).astype(np.int64)
-    is_stem = lengths_cm(track.points_cm) >= LEAST_CM
+    is_stem = polyline_length(track.points_cm) >= LEAST_CM
     if not is_stem[0]:
         raise BadInput(f"{run.where(0)}: the first stem is shorter than {10 * LEAST_CM:g} mm; leave such rows out")
     rows = np.nonzero((np.abs(place - index) <= NEAR_SHARE) & is_stem)[0]

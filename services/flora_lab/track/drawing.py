@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from flora_common.errors import BadPicture
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length, polyline_length, to_px
 from flora_common.runs import CameraSection
 from flora_common.shapes import Obstacle, Target
 from flora_common.vision import draw
@@ -93,8 +93,7 @@ class DrawReadings:
     def _draw_stem(self, out: Picture, reading: Reading, place: CropToDrawing) -> None:
         stem = reading.stem
         assert stem.points_cm is not None
-        up = np.array([1.0, -1.0]) * self.camera.px_per_cm
-        points = place(np.array(self.camera.anchor_px) + stem.points_cm * up)
+        points = place(to_px(stem.points_cm, self.camera))
         line = points if stem.line_px is None else place(stem.line_px)
         colour = draw.CYAN if stem.outcome == OK else ORANGE
         if stem.uncertainty_mm is not None:
@@ -102,7 +101,7 @@ class DrawReadings:
             _draw_band(out, line, points, BAND_MM * per_mm * stem.uncertainty_mm, colour)
         cv2.polylines(out, [_fine(line)], False, colour, 1, cv2.LINE_AA, _FINE_BITS)
         # small where the plant is small: the dots are not to hide it
-        length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+        length = float(polyline_length(line))
         size = min(max(1.0, length / 80.0), max(2.0, out.shape[1] / 300.0))
         for point in _fine(points)[:-1]:
             cv2.circle(out, _xy(point), round(size * _FINE), draw.YELLOW, -1, cv2.LINE_AA, _FINE_BITS)
@@ -143,7 +142,7 @@ def plant_view(readings: Sequence[Reading], camera: CameraSection, *, longest_px
         if r.stem.line_px is not None:
             places.append(r.stem.line_px)
         elif r.stem.points_cm is not None:
-            places.append(anchor + r.stem.points_cm * np.array([1.0, -1.0]) * camera.px_per_cm)
+            places.append(to_px(r.stem.points_cm, camera))
     every = np.concatenate(places)
     low, high = every.min(axis=0), every.max(axis=0)
     rim = max(0.15 * float((high - low).max()), camera.px_per_cm, 12.0)
@@ -178,7 +177,7 @@ def _camera_of(camera: CameraSection, view: View) -> CameraSection:
 
 def _draw_band(out: Picture, line: FloatArray, points: FloatArray, radius: FloatArray, colour: draw.Colour) -> None:
     """A faint veil about the line, as wide as each of the ten points is uncertain."""
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    s = arc_length(line)
     nearest = np.argmin(((points[:, None, :] - line[None, :, :]) ** 2).sum(axis=2), axis=1)
     order = np.argsort(s[nearest], kind="stable")
     wide = np.interp(s, s[nearest][order], radius[order])

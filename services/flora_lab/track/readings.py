@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from flora_common.runs import Light
-from flora_common.vision.reading import BAD_PICTURE, StemReading
+from flora_common.vision.reading import BAD_PICTURE, PictureOutcome, StemReading
 from flora_lab.sources import Frame
 
 
@@ -54,7 +54,7 @@ class StoredReading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     time_s: float
     light: Light
     covariates: dict[str, float]
-    outcome: str
+    outcome: PictureOutcome
     quality: float
     points_cm: list[tuple[float, float]] | None
     tip_px: tuple[float, float] | None

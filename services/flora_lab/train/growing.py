@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from flora_common.errors import BadInput
+from flora_common.geometry import polyline_length
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.growing import DataRange, GrowingSimulator
 from flora_lab.simulator.measured import MeasuredRun, in_steps
@@ -37,7 +38,7 @@ def usable(runs: Sequence[RunTrack]) -> list[MeasuredRun]:
 def range_of(runs: Sequence[MeasuredRun]) -> DataRange:
     """What the runs show."""
     points = np.concatenate([run.points_cm[run.is_measured] for run in runs])
-    lengths = np.hypot(*np.moveaxis(np.diff(points, axis=1), -1, 0)).sum(axis=1)
+    lengths = polyline_length(points)
     return DataRange(BEYOND * float(lengths.max()), BEYOND * float(np.abs(points[:, -1, 0]).max()))
 
 

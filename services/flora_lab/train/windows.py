@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.errors import BadInput
+from flora_common.geometry import arc_length
 from flora_lab.simulator.measured import MeasuredRun, side_by_side
 from flora_lab.simulator.neural_law import STEP_H
 from flora_lab.simulator.shape import smooth_line
@@ -84,7 +85,7 @@ def tracks_of(runs: Sequence[MeasuredRun], *, mirror: bool) -> Tracks:
     places = np.linspace(0.0, 1.0, PLACES)
     for run, row in np.argwhere(told):
         fine = smooth_line(points[run, row])
-        arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+        arc = arc_length(fine)
         for axis in range(2):
             line[run, row, :, axis] = np.interp(places * arc[-1], arc, fine[:, axis])
         chord = np.diff([np.interp(joints * arc[-1], arc, fine[:, axis]) for axis in range(2)], axis=1)

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import BoolArray, Sampler, normals
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, BoolArray, Sampler, normals
 
 EDGE_ERROR_PX: Final = 0.35
 ONE_EDGE_ERROR_PX: Final = 3.0
 RIDGE_ERROR_PX: Final = 1.2
-HALF: Final = 0.65
 BARE_PERCENTILE: Final = 35
 """Of widths across a stem: leaves and their stalks make it wider in half of its places at most."""
 AGREE: Final = 0.15
@@ -84,7 +83,7 @@ def _edges(plant: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArra
     """Where the evidence falls to half on the left and on the right, and whether it does on both sides."""
     n, m = plant.shape
     middle = m // 2
-    level = HALF * np.max(plant[:, middle - 2 : middle + 3], axis=1, keepdims=True)
+    level = HALF_LIGHT_LEVEL * np.max(plant[:, middle - 2 : middle + 3], axis=1, keepdims=True)
     low = plant < level
     rows = np.arange(n)
     right = middle + np.argmax(low[:, middle:], axis=1)

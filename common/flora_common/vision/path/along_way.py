@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.vision.path import across, curve, doubts
 from flora_common.vision.path.apex import drawn_to
 from flora_common.vision.path.chain import RIVAL_CM, Before
 from flora_common.vision.path.curve import STEP_PX, Stem
 from flora_common.vision.path.guide import Way
-from flora_common.vision.path.sampler import Sampler, arc_length, places_along
+from flora_common.vision.path.sampler import Sampler, places_along
 from flora_common.vision.path.tip import Tip, find_tip
 
 USABLE: Final = 0.08

@@ -19,10 +19,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.nearby import LONGEST_S
-from flora_common.vision.path.sampler import arc_length
 from flora_common.vision.picture import Picture
 
 Float32Array = npt.NDArray[np.float32]

@@ -17,7 +17,7 @@ import numpy as np
 from flora_common.geometry import FloatArray, distance_to_polyline_cm
 from flora_common.runs import CameraSection
 from flora_common.vision.path.links import PLANT_GAP_COST, SHORT_GAP_CM, TURN_COST, covered, links_between
-from flora_common.vision.path.nodes import Node, angle, median, unit
+from flora_common.vision.path.nodes import Node, angle, unit, upper_median
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import End, Strand, Strands, part
 from flora_common.vision.path.survey import nearest_in_window, window_box
@@ -160,7 +160,7 @@ def best_chain(
 
 def _weight(piece: Strand) -> float:
     """What a piece could add to a chain: long and clear ones first, specks of noise last."""
-    return len(piece.points) * min(1.0, median(piece.strength) / FAINT_STRENGTH)
+    return len(piece.points) * min(1.0, upper_median(piece.strength) / FAINT_STRENGTH)
 
 
 def _joined(pieces: Sequence[Strand], anchor: FloatArray, worth: float, solid: float, rival: float) -> Chain:

@@ -12,12 +12,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.runs import CameraSection
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.looks import has_neck, leaf_from
-from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.strands import ByteArray, Strands
 
 LEAST_COVER: Final = 0.75

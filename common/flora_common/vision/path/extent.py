@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.curve import STEP_PX, Stem
-from flora_common.vision.path.sampler import arc_length, places_along
+from flora_common.vision.path.sampler import places_along
 from flora_common.vision.path.tip import Tip
 
 FLOOR_MM: Final = 0.1

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from flora_common.geometry import arc_length
 from flora_common.runs import CameraSection
 from flora_common.vision.path import along_way, curve, doubts, forks, nearby, neighbours
 from flora_common.vision.path.apex import Followed
@@ -20,7 +21,7 @@ from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory
-from flora_common.vision.path.sampler import Sampler, arc_length
+from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
 from flora_common.vision.path.strands import Strands

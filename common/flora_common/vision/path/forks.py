@@ -16,8 +16,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import arc_length, normals, places_along
+from flora_common.geometry import FloatArray, arc_length
+from flora_common.vision.path.sampler import normals, places_along
 from flora_common.vision.path.strands import Strands
 
 STEP_CM: Final = 0.1

@@ -21,11 +21,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Float32Array, Layer, Network
 from flora_common.vision.path.evidence import Evidence
-from flora_common.vision.path.sampler import arc_length, normals, places_along, values_at
+from flora_common.vision.path.sampler import normals, places_along, values_at
 
 WEIGHTS: Final = "guide.npz"
 INPUT_PX_PER_CM: Final = 12.0

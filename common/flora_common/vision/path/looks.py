@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import Sampler, arc_length, places_along
+from flora_common.geometry import FloatArray, arc_length
+from flora_common.vision.path.sampler import Sampler, places_along
 
 STEP_CM: Final = 0.05
 """The line is looked at in steps of this length."""

@@ -14,7 +14,7 @@ from flora_common.vision.path.apex import Apex, Followed, judged
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.nearby import Nearby
-from flora_common.vision.reading import JUMPED, OK
+from flora_common.vision.reading import JUMPED, OK, PictureOutcome
 
 LEAST_SEEN: Final = 0.35
 FORGETS_S: Final = 900.0
@@ -83,7 +83,7 @@ def before_of(memory: Memory | None, time_s: float) -> Before | None:
 
 
 def remembered(
-    memory: Memory | None, line_px: FloatArray, state: State, outcome: str, seen: float, *, doubted: bool
+    memory: Memory | None, line_px: FloatArray, state: State, outcome: PictureOutcome, seen: float, *, doubted: bool
 ) -> Memory | None:
     """What is known after a picture.
 

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.runs import CameraSection
-from flora_common.vision.path.sampler import arc_length, places_along
+from flora_common.vision.path.sampler import places_along
 from flora_common.vision.path.strands import End, Strand
 
 RISES_CM, UPRIGHT = 1.2, 0.8

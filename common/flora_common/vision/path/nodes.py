@@ -39,11 +39,11 @@ class Node:
         reach = max(3, round(DIRECTION_OVER_CM * px_per_cm))
         w = np.maximum(strand.width, 0.8)
         if other is None:
-            self.usual_width, self.green = median(w), median(strand.green)
+            self.usual_width, self.green = upper_median(w), upper_median(strand.green)
             self.length_cm = strand.length / px_per_cm
             self.reward = self.length_cm * (1.0 - ON_LEAF_COST * strand.on_leaf)
             self.reward -= BEND_COST * _bending(p, px_per_cm)
-            self._half_width = round(median(strand.width) / 2)
+            self._half_width = round(upper_median(strand.width) / 2)
         else:
             self.usual_width, self.green = other.usual_width, other.green
             self.length_cm, self.reward, self._half_width = other.length_cm, other.reward, other._half_width
@@ -54,11 +54,11 @@ class Node:
         self.start_direction = unit(p[k] - p[skip])
         self.end_direction = unit(p[-1 - skip] - p[-1 - k])
         middle = slice(min(2, len(p) // 3), max(3, len(p) - 2))
-        self.start_width, self.end_width = median(w[middle][: 2 * k]), median(w[middle][-2 * k :])
-        self.start_strength = median(strand.strength[: 2 * skip + 3])
-        self.end_strength = median(strand.strength[-2 * skip - 3 :])
+        self.start_width, self.end_width = upper_median(w[middle][: 2 * k]), upper_median(w[middle][-2 * k :])
+        self.start_strength = upper_median(strand.strength[: 2 * skip + 3])
+        self.end_strength = upper_median(strand.strength[-2 * skip - 3 :])
         near = max(3, round(GREEN_OVER_CM * px_per_cm))
-        self.start_green, self.end_green = median(strand.green[:near]), median(strand.green[-near:])
+        self.start_green, self.end_green = upper_median(strand.green[:near]), upper_median(strand.green[-near:])
         # a thin line has some of the colour of what is behind it
         self._knows_green = min(1.0, max(0.0, 0.5 * (self.usual_width - 1.5))) * min(
             1.0, self.length_cm / GREEN_OVER_CM
@@ -91,7 +91,7 @@ class Node:
         return known
 
 
-def median(v: FloatArray) -> float:
+def upper_median(v: FloatArray) -> float:
     """The upper median of few values; numpy's own takes ten times as long."""
     ordered = v.copy()
     ordered.sort()

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length  # noqa: F401 - tests draw with what is here
 from flora_common.vision.path.evidence import Evidence
 
 BoolArray = npt.NDArray[np.bool_]
@@ -18,6 +18,9 @@ ROW_PX: Final = 1024
 LEAF_GREENER: Final = (6.0, 14.0)
 """Code units, green against red, by which leaves are greener than the stem that bears them: from no leaf to surely one.
 Colours differ from plant to plant and under other lamps; this does not depend on how much light falls on either."""
+HALF_LIGHT_LEVEL: Final = 0.65
+"""Share of full evidence at which half of the light comes from the plant: evidence is logarithmic. Edges and ends of a
+stem lie there."""
 
 
 class Sampler:
@@ -93,11 +96,6 @@ def normals(line: FloatArray) -> FloatArray:
     tangent = np.gradient(line, axis=0)
     tangent /= np.maximum(np.hypot(tangent[:, 0], tangent[:, 1]), 1e-9)[:, None]
     return np.column_stack([-tangent[:, 1], tangent[:, 0]])
-
-
-def arc_length(line: FloatArray) -> FloatArray:
-    """Distance along a line (n, 2) from its first point, shape (n,)."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
 def places_along(line: FloatArray, s: FloatArray, at: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.thinning import neighbour_offsets, thin
 
@@ -29,8 +29,8 @@ APART: Final = 1.3
 """In scatters of both: how far apart the colours of stem and leaf must lie."""
 CORNER_ARM, CORNER_RAD = 0.6, 1.0
 """A corner turns by more than this between arms so many widths of the widest stem long."""
-LEAF_GREENER: Final = 13.0
-"""Code units by which a leaf is greener than what bears it, at least, to be told by that."""
+CUT_GREENER: Final = 13.0
+"""Code units by which a piece turns greener, at least, where it is cut: a leaf begins there."""
 MOST_PIECES: Final = 60
 """The shortest are left out beyond: specks of noise come in hundreds."""
 KNOT_AREA: Final = 2.2
@@ -72,7 +72,7 @@ class Strand:
     @property
     def length(self) -> float:
         """Along its points, px."""
-        return float(np.hypot(*np.diff(self.points, axis=0).T).sum())
+        return float(polyline_length(self.points))
 
     def reversed(self) -> Strand:
         """The same from the other end."""
@@ -250,7 +250,7 @@ def _by_colour(piece: Strand, arm: int) -> list[Strand]:
     mean = (total[arm:] - total[:-arm]) / arm
     step = mean[arm:] - mean[:-arm]
     k = int(np.argmax(np.abs(step)))
-    if abs(step[k]) < LEAF_GREENER:
+    if abs(step[k]) < CUT_GREENER:
         return [piece]
     at, first, last = k + arm, piece.ends[0], piece.ends[1]
     into_leaf = step[k] > 0

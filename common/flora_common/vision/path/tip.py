@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, arc_length
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, Stem
 from flora_common.vision.path.looks import leaf_from
-from flora_common.vision.path.sampler import BoolArray, Sampler, arc_length
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, BoolArray, Sampler
 from flora_common.vision.path.trace import traced
 
 GLANCE, LOOKED_AT = 4, 9
@@ -62,8 +62,6 @@ HOOK_RAD: Final = 0.45
 MOVE_COST: Final = 0.3
 """Per cm from where the tip was before, up to 1 cm."""
 CLEAR_RIDGE: Final = 12.0
-END_LEVEL: Final = 0.65
-"""The stem ends where the evidence along it falls to this share: it is logarithmic, half of the light lies there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +130,7 @@ def find_tip(
         against = np.concatenate([against, _moved_cost(_places(stem.line[safe], line[None])[0], before, px_per_cm)])
     arcs, side = _places(stem.line[safe], angle)
     gain, plant = _gain(arcs, side, width, level, sampler)
-    there = plant > END_LEVEL * level
+    there = plant > HALF_LIGHT_LEVEL * level
     worth = np.cumsum(STEP * gain / px_per_cm, axis=1) - against
     arc, end = (int(k) for k in np.unravel_index(int(np.argmax(worth)), worth.shape))
     if worth[0].max() > worth[arc, end] - STRAIGHT_FREE_CM:
@@ -147,7 +145,7 @@ def find_tip(
     if not open_end and more * STEP <= APEX_CM * px_per_cm:
         # young leaves stand round an apex, and seldom above it: it is likely where the plant ends in this direction
         end, error, open_end = end + more, error + 0.4 * more * STEP, True
-    places = np.concatenate([arcs[arc, : end + 1], _just_beyond(arcs[arc], plant[arc], end, END_LEVEL * level)])
+    places = np.concatenate([arcs[arc, : end + 1], _just_beyond(arcs[arc], plant[arc], end, HALF_LIGHT_LEVEL * level)])
     return Tip(safe, places, arcs[arc, end + 1 :], open_end, error)
 
 
@@ -299,7 +297,7 @@ def _gain(
     one_edge = gain.flat[rest]
     gain.flat[rest] = np.where(one_edge > 0.0, np.maximum(one_edge, on_leaf), on_leaf)
     centre = plant[3]
-    return np.where(centre > END_LEVEL * level, gain, -OPEN_COST), centre
+    return np.where(centre > HALF_LIGHT_LEVEL * level, gain, -OPEN_COST), centre
 
 
 def _heading(line: FloatArray, s: FloatArray, safe: int, reach_px: float) -> tuple[float, float]:

@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
-from flora_common.vision.path.across import HALF
-from flora_common.vision.path.sampler import LEAF_GREENER, BoolArray, Sampler, arc_length, places_along
+from flora_common.geometry import FloatArray, arc_length
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, LEAF_GREENER, BoolArray, Sampler, places_along
 
 STEP_WIDTHS: Final = 0.35
 FITTED_WIDTHS, LEAST_FITTED_PX = 2.5, 8.0
@@ -138,11 +137,11 @@ def _edges(plant: FloatArray, offset: FloatArray, level: float) -> tuple[float, 
     top = float(plant[centre - 2 : centre + 3].max())
     if top < ENDS_AT * level:
         return 1.0, -1.0
-    low = np.flatnonzero(plant < HALF * top)
+    low = np.flatnonzero(plant < HALF_LIGHT_LEVEL * top)
     right, left = low[low >= centre], low[low <= centre]
 
     def crossing(outer: int, inner: int) -> float:
-        share = (HALF * top - plant[outer]) / max(1e-9, plant[inner] - plant[outer])
+        share = (HALF_LIGHT_LEVEL * top - plant[outer]) / max(1e-9, plant[inner] - plant[outer])
         return float(offset[outer] + np.clip(share, 0.0, 1.0) * (offset[inner] - offset[outer]))
 
     a = crossing(int(left[-1]), int(left[-1]) + 1) if left.size else -math.inf

@@ -41,6 +41,7 @@ from flora_common.vision.reading import (
     OCCLUDED,
     OK,
     TOUCHES_EDGE,
+    PictureOutcome,
     StemReading,
     bad_picture,
     no_stem,
@@ -256,7 +257,7 @@ class PathTracker:
         )
         return reading, memory
 
-    def _judge(self, stem: Stem, seen: float, tip_mm: float, time_s: float) -> tuple[str, str]:
+    def _judge(self, stem: Stem, seen: float, tip_mm: float, time_s: float) -> tuple[PictureOutcome, str]:
         scale = self.camera.px_per_cm
         if self._at_edge(stem.line[-1]):
             return TOUCHES_EDGE, "the tip lies on the edge of the window, the plant may go on beyond it"
