@@ -129,7 +129,7 @@ class App(Generic[S]):
         self.on_readable(bus.publisher, handler)
         for monitor in bus.monitors:
             self.on_readable(monitor, handler)
-        if bus.monitors:
+        if bus.is_far:
             self.every(RETRY_S, handler)
 
     def after(self, real_s: float, call: Callable[[], None]) -> Timer:

@@ -21,7 +21,7 @@ import msgspec
 import zmq
 
 from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
-from flora_common.bus_keys import ClientKeys
+from flora_common.bus_keys import ClientKeys, is_tcp
 from flora_common.clock import NS, Clock
 from flora_common.errors import BadMessage
 from flora_common.messages.envelope import CATALOGUE, Message, Period, spec_of
@@ -269,12 +269,17 @@ class BusClient:
 
     @property
     def connected(self) -> bool:
-        """The bus takes what we say, and has answered our subscriptions."""
-        return self._bus_listens and self._bus_answered
+        """The bus is there, takes what we say, and has answered our subscriptions."""
+        return self._bus_listens and self._bus_answered and self._handshakes.is_up
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the bus is reached over TCP, where it may refuse us."""
+        return is_tcp(self._address.publish) or is_tcp(self._address.subscribe)
 
     @property
     def monitors(self) -> list[zmq.Socket[Any]]:
-        """Further sockets to call :meth:`handle_publisher` for; none where the bus is within this machine."""
+        """Further sockets to call :meth:`handle_publisher` for; none where the bus is within this process."""
         return self._handshakes.monitors
 
     @property
@@ -317,7 +322,8 @@ class BusClient:
     def handle_publisher(self) -> None:
         """Take notice of the bus coming, going or refusing us; call when ``publisher`` is readable.
 
-        Where there are ``monitors``, also when one of them is, and now and then: it tries again after a refusal.
+        Where there are ``monitors``, also when one of them is; where the bus is far, now and then too: it tries again
+        after a refusal.
         """
         self._handshakes.tend()
         while True:

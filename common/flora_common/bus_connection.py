@@ -28,9 +28,11 @@ RETRY_S: Final = 2.0
 SILENT_TIMES: Final = 3
 """Broken off without a word so often in a row, it is no bus that was just being stopped."""
 
+_IN_PROCESS: Final = "inproc:"
 _EVENT: Final = struct.Struct("=hi")
 _REFUSED: Final = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-_WATCHED: Final = _REFUSED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_SUCCEEDED
+_LIFE: Final = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED
+_WATCHED: Final = _REFUSED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | _LIFE
 
 
 def prepare_to_connect(socket: zmq.Socket[bytes], endpoint: str, keys: ClientKeys | None) -> None:
@@ -70,7 +72,12 @@ def connect(socket: zmq.Socket[bytes], endpoint: str) -> None:
 
 
 class _Watched:
-    """One socket that connects to one endpoint."""
+    """One socket that connects to one endpoint.
+
+    Attributes:
+        is_up: whether it is connected; ZeroMQ itself keeps what waits for a bus that has gone, and says nothing of it.
+        problem: why the bus does not let us in.
+    """
 
     def __init__(self, socket: zmq.Socket[bytes], endpoint: str, *, has_keys: bool) -> None:
         self._socket = socket
@@ -78,7 +85,9 @@ class _Watched:
         self._has_keys = has_keys
         self._silences = 0
         self._retry_at_s: float | None = None
-        self.monitor: zmq.Socket[Any] = socket.get_monitor_socket(_WATCHED)
+        # Within a machine nobody is refused.
+        self.monitor: zmq.Socket[Any] = socket.get_monitor_socket(_WATCHED if is_tcp(endpoint) else _LIFE)
+        self.is_up = False
         self.problem = ""
 
     def tend(self, now_s: float) -> None:
@@ -99,7 +108,9 @@ class _Watched:
 
     def _take(self, event: int, now_s: float) -> None:
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self.problem, self._silences = "", 0
+            self.problem, self._silences, self.is_up = "", 0, True
+        elif event == zmq.EVENT_DISCONNECTED:
+            self.is_up = False
         elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
             self._silences += 1
             if self._silences >= SILENT_TIMES:
@@ -124,7 +135,7 @@ class _Watched:
 
 
 class Handshakes:
-    """The connections of one participant to the bus, as far as they are over TCP.
+    """The connections of one participant to the bus: the first one's life, and how those over TCP are received.
 
     Args:
         connections: sockets that are about to connect, and where to.
@@ -132,15 +143,22 @@ class Handshakes:
     """
 
     def __init__(self, connections: list[tuple[zmq.Socket[bytes], str]], keys: ClientKeys | None) -> None:
+        first = connections[0][1]
+        self._has_life = not first.startswith(_IN_PROCESS)
         self._watched = [
             _Watched(socket, endpoint, has_keys=keys is not None)
             for socket, endpoint in connections
-            if is_tcp(endpoint)
+            if is_tcp(endpoint) or (endpoint == first and self._has_life)
         ]
 
     @property
+    def is_up(self) -> bool:
+        """Whether the first one is connected, by what was read until now; always where bus and we are one process."""
+        return not self._has_life or self._watched[0].is_up
+
+    @property
     def monitors(self) -> list[zmq.Socket[Any]]:
-        """Readable when there is something to :meth:`tend` to; none where nothing is over TCP."""
+        """Readable when there is something to :meth:`tend` to; none where bus and we are one process."""
         return [watched.monitor for watched in self._watched]
 
     @property

@@ -10,7 +10,7 @@ in shadow is asked the same, and lights nothing.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -40,8 +40,6 @@ from flora_controller.steering import (
     View,
     WaypointSection,
 )
-
-LONGEST_REASON: Final = LONGEST_SENTENCE
 
 BuiltIn = Literal["open-loop", "tip-follower", "waypoint", "dark"]
 

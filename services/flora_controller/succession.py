@@ -16,8 +16,8 @@ from flora_common.controller_file import LoadedController, parse_controller
 from flora_common.errors import BadController, StoreError
 from flora_common.messages import ControllerAnswer, ControllerChunk, ControllerOffer
 from flora_common.messages.catalogue import OfferStage
+from flora_common.messages.envelope import as_sentence
 from flora_controller.acceptance import Acceptance
-from flora_controller.core import LONGEST_REASON
 from flora_controller.evolved import Evolved
 from flora_controller.lineup import Failure, Lineup, identity_of
 from flora_controller.offers import Assembly
@@ -218,8 +218,8 @@ class Succession:
             sha256=entry.sha256,
             missing=missing,
             shadow_ticks_left=left,
-            steers=self.lineup.steering.name[:LONGEST_REASON],
-            reason=reason[:LONGEST_REASON],
+            steers=as_sentence(self.lineup.steering.name),
+            reason=as_sentence(reason),
         )
 
     # what is kept

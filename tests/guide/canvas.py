@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.vision.path.sampler import arc_length, places_along
+from flora_common.geometry import arc_length
+from flora_common.vision.path.sampler import places_along
 
 Floats = npt.NDArray[np.floating]
 Colour = npt.NDArray[np.floating]

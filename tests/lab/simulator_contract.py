@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_common.shapes import STEM_POINTS
-from flora_lab.rollout.free_running import length_cm
 from flora_lab.simulator.interface import Chance, History, Simulator, run
 from flora_lab.simulator.measured import MeasuredRun, side_by_side
 
@@ -142,7 +141,7 @@ class Contract:
                 light = np.repeat(lamps[:, None], len(self.runs), axis=1)
                 stems = run(self.simulator, begin(every), light, self.simulator.step_s)
                 assert np.isfinite(stems).all(), f"{way}, {name}"
-                shrinks = -np.diff(length_cm(stems), axis=0).min()
+                shrinks = -np.diff(polyline_length(stems), axis=0).min()
                 assert shrinks <= self.shrink_cm, f"{way}, {name}: a stem gets {shrinks:g} cm shorter in a step"
 
     def check_steps_of_time(self) -> None:

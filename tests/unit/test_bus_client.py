@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -11,7 +13,7 @@ import zmq
 from fake_clock import FakeClock
 from flora_bus.broker import MAX_KEPT, MAX_KEPT_BYTES, Broker, LastValues, well_formed
 from flora_common import bus as bus_module
-from flora_common.bus import OUTBOX_LIMIT, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
+from flora_common.bus import OUTBOX_LIMIT, Arrival, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
 from flora_common.clock import NS
 from flora_common.errors import BadMessage
 from flora_common.messages import Health, LightCommand, Stem, Tick, encode
@@ -88,8 +90,8 @@ def test_topics_without_a_period_are_never_late() -> None:
 class Wire:
     """A broker and clients in one process, moved on by hand."""
 
-    def __init__(self, name: str) -> None:
-        self.address = BusAddress(f"inproc://{name}-pub", f"inproc://{name}-sub")
+    def __init__(self, name: str, transport: str = "inproc://") -> None:
+        self.address = BusAddress(f"{transport}{name}-pub", f"{transport}{name}-sub")
         self.broker: Broker | None = Broker(self.address)
         self.clients: list[BusClient] = []
 
@@ -126,6 +128,34 @@ def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
     made = Wire(request.node.name)
     yield made
     made.close()
+
+
+def test_a_bus_that_has_gone_is_noticed_and_one_that_has_come_back(tmp_path: Path) -> None:
+    """ZeroMQ goes on as if it were there, and keeps what is said for it."""
+    wire = Wire("bus", f"ipc://{tmp_path}/")
+    client = wire.client("flora-flash", Tick)
+    assert not client.is_far
+
+    def until(connected: bool) -> None:
+        give_up_s = time.monotonic() + 10.0
+        while client.connected is not connected:
+            assert time.monotonic() < give_up_s
+            wire.turn(client)
+
+    try:
+        for _ in range(2):
+            until(True)
+            assert wire.broker is not None
+            wire.broker.close()
+            wire.broker = None
+            until(False)
+            wire.broker = Broker(wire.address)
+        until(True)
+        client.publish(Tick(tick=7, time_s=1.0))
+        heard = [arrival.message for arrival in wire.turn(client) if isinstance(arrival, Arrival)]
+        assert [message.tick for message in heard if isinstance(message, Tick)] == [7]
+    finally:
+        wire.close()
 
 
 def test_connected_only_when_the_bus_has_answered(wire: Wire) -> None:

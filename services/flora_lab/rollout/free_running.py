@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
-from flora_common.geometry import polyline_length as length_cm
+from flora_common.geometry import FloatArray, polyline_length
 from flora_lab.simulator.interface import History, IntArray, Simulator
 from flora_lab.simulator.measured import Batch, MeasuredRun, side_by_side
 
@@ -81,8 +80,8 @@ class OneStep:
 def errors_between(simulated_cm: FloatArray, measured_cm: FloatArray, start_cm: FloatArray) -> Errors:
     """Errors of stems of shape (..., 10, 2), all from starts that broadcast to that shape."""
     distance = np.hypot(*np.moveaxis(simulated_cm - measured_cm, -1, 0)) * MM_PER_CM
-    before = length_cm(start_cm)
-    gained, wanted = length_cm(simulated_cm) - before, length_cm(measured_cm) - before
+    before = polyline_length(start_cm)
+    gained, wanted = polyline_length(simulated_cm) - before, polyline_length(measured_cm) - before
     grown = wanted >= LEAST_GAIN_CM  # False for NaN
     growth = np.full(wanted.shape, np.nan)
     growth[grown] = gained[grown] / wanted[grown] - 1.0

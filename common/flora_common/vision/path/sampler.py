@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, arc_length  # noqa: F401 - tests draw with what is here
+from flora_common.geometry import FloatArray
 from flora_common.vision.path.evidence import Evidence
 
 BoolArray = npt.NDArray[np.bool_]
