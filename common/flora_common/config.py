@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import msgspec
 
 from flora_common.bus import BusAddress
-from flora_common.bus_keys import ClientKeys, check_reach, client_keys, is_tcp
+from flora_common.bus_keys import ClientKeys, check_reach, client_keys, is_loopback, is_tcp
 from flora_common.errors import BadInput, ConfigError
 from flora_common.messages.envelope import Name
 from flora_common.suggest import did_you_mean
@@ -91,6 +91,12 @@ class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             ConfigError: the keys cannot be used.
         """
         return BusAddress(self.bus_publish, self.bus_subscribe, self.own_keys())
+
+    @property
+    def has_own_clock(self) -> bool:
+        """Whether the times in messages are of this machine's own clock: else nobody here knows how old they are."""
+        is_here = self.bus_subscribe.startswith("ipc://") or is_loopback(self.bus_subscribe)
+        return self.clock.kind != "twin" and is_here
 
     def own_keys(self) -> ClientKeys | None:
         """What this machine shows to the bus; None where nobody asks.

@@ -16,7 +16,7 @@ from zmq.utils import z85
 
 from flora_common.bus import bound, receive_frames, send_frames
 from flora_common.bus_keys import AUTHORIZED, BUS, read_authorized, read_pair
-from flora_common.errors import BusUnreachable
+from flora_common.errors import BusUnreachable, ConfigError
 
 ASKED_AT: Final = "inproc://zeromq.zap.01"
 """Where libzmq asks, one place for a context."""
@@ -43,6 +43,10 @@ class Guard:
     Args:
         folder: with ``bus.key`` and ``authorized/``.
 
+    Attributes:
+        refused: who was turned away.
+        problem: why ``authorized/`` could not be read when it was last looked at; those hold that were there before.
+
     Raises:
         ConfigError: the keys cannot be used.
         BusUnreachable: there is a guard in this context already.
@@ -53,6 +57,7 @@ class Guard:
         self._authorized = folder / AUTHORIZED
         self._admitted = read_authorized(self._authorized)
         self.refused = Refused()
+        self.problem = ""
         self.questions = (context or zmq.Context.instance()).socket(zmq.ROUTER)
         bound(self.questions, linger_ms=0)
         try:
@@ -72,20 +77,21 @@ class Guard:
         socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
     def answer(self) -> None:
-        """Say of each key that is asked about whether it may come in; call when ``questions`` is readable.
-
-        Raises:
-            ConfigError: ``authorized/`` cannot be read any more; until it can, those hold that were there before.
-        """
+        """Say of each key that is asked about whether it may come in; call when ``questions`` is readable."""
         while True:
             try:
                 parts = receive_frames(self.questions)
             except zmq.Again:
                 return
-            try:
-                self._admitted = read_authorized(self._authorized)
-            finally:
-                self._answer(parts)
+            self.read()
+            self._answer(parts)
+
+    def read(self) -> None:
+        """Who may come in, by what is in ``authorized/`` now; see :attr:`problem`."""
+        try:
+            self._admitted, self.problem = read_authorized(self._authorized), ""
+        except ConfigError as problem:
+            self.problem = str(problem)
 
     def _answer(self, parts: list[bytes]) -> None:
         if len(parts) < 4:

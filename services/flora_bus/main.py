@@ -145,14 +145,21 @@ def build(app: App[BusSection]) -> None:
 
 
 def _set_up(app: App[BusSection], guard: Guard) -> None:
+    def answer() -> None:
+        guard.answer()
+        app.trouble("authorized", guard.problem)
+
     def report() -> None:
+        if guard.problem:  # it may be mended, and the next machine may come in days
+            guard.read()
+            app.trouble("authorized", guard.problem)
         refused = guard.refused
         if refused.count:
             reason = f"{refused.address} came with {refused.key}, which is not in {AUTHORIZED}/"
             # A machine that is not known yet tries every two seconds, perhaps for days: told every ten minutes.
             app.log.problem("unknown_key", f"{reason}; {refused.count} times refused so far", kind=refused.key)
 
-    app.on_readable(guard.questions, guard.answer)
+    app.on_readable(guard.questions, answer)
     app.on_exit(guard.close)
     app.every(5.0, report)
 

@@ -41,7 +41,7 @@ def build(app: App[DashboardSection]) -> None:
         clock=app.clock,
         history=history,
         health_every_s=app.rig.health_every_s,
-        ages_are_known=app.rig.clock.kind == "system",
+        ages_are_known=app.rig.has_own_clock,
     )
     photographs = Photographs(app.run.path)
     server = PageServer(
@@ -83,7 +83,7 @@ def build(app: App[DashboardSection]) -> None:
     app.on_raw(hear)
     app.on_ready(all_kept_are_heard)
     app.every(SHOWN_EVERY_S, show)
-    app.every(SHOWN_EVERY_S, server.check)
+    app.every(SHOWN_EVERY_S, lambda: app.trouble("page", server.check()))
     app.on_exit(server.stop)
 
 

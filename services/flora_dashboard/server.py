@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import socket
 import threading
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from flora_common.errors import ConfigError
 from flora_dashboard.web import Latest
@@ -18,6 +20,21 @@ BACKLOG: Final = 64
 STARTED_WITHIN_S: Final = 20.0
 ENDED_WITHIN_S: Final = 5.0
 SILENT_AFTER_S: Final = 30.0
+REQUEST_WITHIN_S: Final = 20.0
+"""Connections that ask for nothing are closed: whoever opens a thousand of them must not shut out those who look."""
+_TOO_MANY: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+
+class ImpatientProtocol(H11Protocol):
+    """uvicorn's, which waits for ever for the first request of a connection."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.loop.call_later(REQUEST_WITHIN_S, self._hang_up)
+
+    def _hang_up(self) -> None:
+        if self.cycle is None and not self.transport.is_closing():
+            self.transport.close()
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -66,7 +83,8 @@ class PageServer:
         self._latest: Latest | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: uvicorn.Server | None = None
-        self._alive_s = time.monotonic()
+        self._asked_s: float | None = None
+        self._refused = 0
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     def start(self) -> None:
@@ -81,28 +99,42 @@ class PageServer:
             if not self._thread.is_alive() or time.monotonic() > end_s:
                 raise RuntimeError("the page's server does not start")
             time.sleep(0.01)
-        self._alive_s = time.monotonic()
 
     def tell(self, view: bytes) -> None:
         """A new view, for all pages that are open."""
         if self._loop is not None and self._latest is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._latest.put, view)
 
-    def check(self) -> None:
+    def check(self) -> str:
         """Ask for a sign of life; the answer to the last time must be there.
+
+        Returns:
+            What is wrong for the moment, in a sentence; empty where nothing is.
 
         Raises:
             RuntimeError: the thread has ended or hangs. Nothing but a new start mends that.
         """
         if not self._thread.is_alive():
             raise RuntimeError("the page's server has ended")
-        if time.monotonic() - self._alive_s > SILENT_AFTER_S:
+        # From when it was asked: whoever asks may have stood still longer than that.
+        if self._asked_s is not None and time.monotonic() - self._asked_s > SILENT_AFTER_S:
             raise RuntimeError(f"the page's server has given no sign for {SILENT_AFTER_S:g} s")
-        if self._loop is not None:
+        if self._loop is not None and self._asked_s is None:
+            self._asked_s = time.monotonic()
             self._loop.call_soon_threadsafe(self._sign)
+        refused, self._refused = self._refused, 0
+        return f"{refused} connections were refused: too many are open" if refused else ""
 
     def _sign(self) -> None:
-        self._alive_s = time.monotonic()
+        self._asked_s = None
+
+    def _failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """asyncio tells of each connection that it has no descriptor for, many times a second."""
+        problem = context.get("exception")
+        if isinstance(problem, OSError) and problem.errno in _TOO_MANY:
+            self._refused += 1
+        else:
+            loop.default_exception_handler(context)
 
     def stop(self) -> None:
         """Say goodbye to every page, and end; a second is waited for those that do not listen."""
@@ -121,14 +153,16 @@ class PageServer:
         config = uvicorn.Config(
             self._make_app(latest),
             loop="asyncio",
-            http="h11",
+            http=ImpatientProtocol,
             ws="none",
             lifespan="off",
             log_config=None,
             access_log=False,
             server_header=False,
+            backlog=BACKLOG,
             timeout_graceful_shutdown=1,
         )
         self._latest, self._loop = latest, asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._failed)
         self._server = uvicorn.Server(config)
         await self._server.serve(sockets=[self._listener])

@@ -68,7 +68,7 @@ def _heard(common: Common) -> Heard:
 
     rig = common.rig
     listener = Listener(rig, only_rig=rig.name, pattern="health", is_patient=False)
-    board = HealthBoard(common.section.services, period_s=rig.health_every_s, ages_are_known=common.is_this_machine)
+    board = HealthBoard(common.section.services, period_s=rig.health_every_s, ages_are_known=common.rig.has_own_clock)
     try:
         is_there = hear_health(
             listener,

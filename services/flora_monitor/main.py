@@ -196,7 +196,7 @@ def health(
     period_s = common.rig.health_every_s
     listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health", is_patient=False)
     clock = SystemClock()
-    board = HealthBoard(expected, period_s=period_s, ages_are_known=common.is_this_machine)
+    board = HealthBoard(expected, period_s=period_s, ages_are_known=common.rig.has_own_clock)
     answered = hear_health(
         listener,
         board,
@@ -317,7 +317,7 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
     """A recorded `light` would drive the lamps of a rig that runs."""
     listener = Listener(common.rig, pattern="health", is_patient=False)
     try:
-        period_s, is_here = common.rig.health_every_s, common.is_this_machine
+        period_s, is_here = common.rig.health_every_s, common.rig.has_own_clock
         alive = hear_life(listener, rigs, within_s=LATE_FACTOR * period_s, ages_are_known=is_here)
     finally:
         listener.close()

@@ -10,7 +10,6 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
-from flora_common.bus_keys import is_loopback
 from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
 from flora_common.errors import BadInput, BadRunFolder
 from flora_common.health import COMES_AND_GOES, ONLY_LOOKS, services_of_catalogue
@@ -46,12 +45,6 @@ class Common:
     def is_lock_step(self) -> bool:
         """Rig time is the grow box's, not this machine's."""
         return self.rig.clock.kind == "twin"
-
-    @property
-    def is_this_machine(self) -> bool:
-        """The times in messages are of this machine's own clock."""
-        where = self.rig.bus_subscribe
-        return not self.is_lock_step and (where.startswith("ipc://") or is_loopback(where))
 
     def tick_s(self, interval_s: float | None) -> float:
         if interval_s is not None:

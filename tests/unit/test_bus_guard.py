@@ -11,7 +11,16 @@ import pytest
 import zmq
 
 from flora_bus.guard import ASKED_AT, Guard
-from flora_common.bus_keys import BUS, CLIENT, client_keys, make_authorized, make_pair, protect_client, read_pair
+from flora_common.bus_keys import (
+    AUTHORIZED,
+    BUS,
+    CLIENT,
+    client_keys,
+    make_authorized,
+    make_pair,
+    protect_client,
+    read_pair,
+)
 from flora_common.errors import BusUnreachable
 
 pytestmark = pytest.mark.skipif(not zmq.has("curve"), reason="this libzmq was built without CURVE")
@@ -90,4 +99,16 @@ def test_where_nobody_answers_nobody_gets_in(folder: Path, context: zmq.Context[
             assert bus.recv() == b"\x01" + SUBSCRIPTION
         else:
             assert not bus.poll(1000)
+    guard.close()
+
+
+def test_what_was_mended_is_read_again_without_anybody_coming(folder: Path, context: zmq.Context[Any]) -> None:
+    guard = Guard(folder, context=context)
+    torn = folder / AUTHORIZED / "half-copied.pub"
+    torn.write_text("#")
+    guard.read()
+    assert "half-copied.pub" in guard.problem
+    torn.unlink()
+    guard.read()
+    assert guard.problem == ""
     guard.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import http.client
 import json
@@ -178,18 +179,58 @@ def test_it_ends_at_once_though_pages_are_open(tmp_path: Path) -> None:
 def test_a_server_that_hangs_is_noticed(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flora_dashboard.server.SILENT_AFTER_S", 0.2)
     served.server.check()
-    time.sleep(0.05)
-    served.server.check()
+    served.wait(lambda: served.server._asked_s is None)
     release = threading.Event()
     loop = served.server._loop
     assert loop is not None
     loop.call_soon_threadsafe(release.wait)
+    served.server.check()
     time.sleep(0.3)
     try:
         with pytest.raises(RuntimeError, match="no sign"):
             served.server.check()
     finally:
         release.set()
+
+
+def test_who_asks_for_signs_may_stand_still_itself(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flora_dashboard.server.SILENT_AFTER_S", 0.2)
+    served.server.check()
+    time.sleep(0.5)  # a machine that slept, a debugger
+    assert served.server.check() == ""
+
+
+def test_a_connection_that_asks_for_nothing_is_closed_and_one_that_did_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flora_dashboard.server.REQUEST_WITHIN_S", 0.3)
+    served = Served(tmp_path)
+    try:
+        served.server.tell(b"{}")
+        with served.stream() as answer, socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as idle:
+            event(answer)
+            idle.sendall(b"GET / HT")
+            assert idle.recv(100) == b""
+            served.server.tell(b'{"still": "there"}')
+            while event(answer) != b'{"still": "there"}':
+                pass
+    finally:
+        served.server.stop()
+
+
+def test_connections_for_which_there_is_no_descriptor_are_counted_and_told_once(served: Served) -> None:
+    loop = served.server._loop
+    assert loop is not None
+    told: list[dict[str, object]] = []
+    for _ in range(70):
+        loop.call_soon_threadsafe(
+            loop.call_exception_handler,
+            {"message": "accept", "exception": OSError(errno.EMFILE, "Too many")},
+        )
+    loop.call_soon_threadsafe(lambda: told.append({}))
+    served.wait(lambda: bool(told))
+    assert served.server.check() == "70 connections were refused: too many are open"
+    assert served.server.check() == ""
 
 
 def test_an_address_that_is_taken_or_not_ours_is_told_in_a_line() -> None:
