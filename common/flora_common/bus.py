@@ -38,6 +38,9 @@ MAX_STREAMS: Final = 4096
 """(rig, topic, source) whose sequence numbers are followed; more come only from a faulty or hostile publisher."""
 
 HELLO_PREFIX: Final = b"~hello/"
+COMES_AND_GOES: Final = "flora-lab"
+"""Says something now and then, from another machine whose clock is its own; a rig is well without it."""
+
 LATE_FACTOR: Final = 2.5
 """A topic is late when nothing came for this many of its periods."""
 
@@ -372,7 +375,7 @@ class BusClient:
             return Arrival(parts, "repeated", rig, message)
         self.counters.gaps += lost
         self.counters.received += 1
-        if rig == self.rig:
+        if rig == self.rig and message.source != COMES_AND_GOES:
             self._clock.observe(message.t_mono_ns, message.t_utc_ns)
         return Arrival(parts, "good", rig, message, lost)
 

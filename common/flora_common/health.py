@@ -6,13 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from flora_common.bus import LATE_FACTOR
+from flora_common.bus import COMES_AND_GOES, LATE_FACTOR
 from flora_common.clock import NS
 from flora_common.messages import CATALOGUE, Health
 
 EVERY_SERVICE: Final = "every service"
-COMES_AND_GOES: Final = "flora-lab"
-"""Says something now and then, from another machine; a rig is well without it."""
 ONLY_LOOKS: Final = "flora-dashboard"
 """A rig is well without it; where it runs it is judged like the others."""
 

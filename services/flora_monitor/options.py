@@ -10,9 +10,10 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
+from flora_common.bus import COMES_AND_GOES
 from flora_common.config import RigSection, at_bus, checked_rig_name, load_config
 from flora_common.errors import BadInput, BadRunFolder
-from flora_common.health import COMES_AND_GOES, ONLY_LOOKS, services_of_catalogue
+from flora_common.health import ONLY_LOOKS, services_of_catalogue
 from flora_common.runs import RunFolder
 from flora_common.suggest import did_you_mean
 from flora_monitor.listen import Listener

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Final
 
-from flora_common.bus import LATE_FACTOR, Arrival
+from flora_common.bus import COMES_AND_GOES, LATE_FACTOR, Arrival
 from flora_common.clock import NS
 from flora_common.errors import BadInput, BadMessage
 from flora_common.messages import CATALOGUE, Period, spec_of, split_topic
@@ -88,6 +88,8 @@ class Stream:
     first_real_s: float = 0.0
     last_real_s: float = 0.0
     last_mono_ns: int = 0
+    session: str = ""
+    is_elsewhere: bool = False
     interval: Spread = field(default_factory=Spread)
 
 
@@ -159,17 +161,21 @@ class Board:
         self.lost += arrival.lost
         stream.lost += arrival.lost
         since_s: float | None = None
+        # Another session whose time is less: the rig's machine was started anew, and counts from nought.
+        is_booted = stream.count > 0 and message.session != stream.session and message.t_mono_ns < stream.last_mono_ns
+        stream.session = message.session
         if stream.count == 0:
             stream.first_real_s = real_s
         elif stream.period == "10 s":
             since_s = real_s - stream.last_real_s
-        else:
+        elif not is_booted:
             since_s = (message.t_mono_ns - stream.last_mono_ns) / NS
         if since_s is not None:
             stream.interval.add(since_s)
         stream.count += 1
         stream.last_real_s, stream.last_mono_ns = real_s, message.t_mono_ns
-        if message.t_mono_ns >= self._newest.get(arrival.rig, (0, 0.0))[0]:
+        stream.is_elsewhere = message.source == COMES_AND_GOES
+        if not stream.is_elsewhere and (is_booted or message.t_mono_ns >= self._newest.get(arrival.rig, (0, 0.0))[0]):
             self._newest[arrival.rig] = (message.t_mono_ns, real_s)
         return since_s
 
@@ -204,7 +210,7 @@ class Board:
 
     def _age_s(self, stream: Stream, real_s: float) -> float:
         """Health comes in real time; all else is measured against the newest rig time that anybody told."""
-        if stream.period == "10 s":
+        if stream.period == "10 s" or stream.is_elsewhere:
             return real_s - stream.last_real_s
         newest_ns, heard_s = self._newest[stream.rig]
         since_newest_s = 0.0 if self._is_lock_step else real_s - heard_s

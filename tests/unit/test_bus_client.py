@@ -16,7 +16,7 @@ from flora_common import bus as bus_module
 from flora_common.bus import OUTBOX_LIMIT, Arrival, BusAddress, BusClient, Freshness, SequenceCheck, late_after_s
 from flora_common.clock import NS
 from flora_common.errors import BadMessage
-from flora_common.messages import Health, LightCommand, Stem, Tick, encode
+from flora_common.messages import DiagnosisFound, Health, LightCommand, Stem, Tick, encode
 
 
 def tick(seq: int, session: str = "00000001", source: str = "flora-flash") -> Tick:
@@ -177,6 +177,20 @@ def test_what_is_published_arrives_with_the_envelope_filled_in(wire: Wire) -> No
     assert (message.t_mono_ns, message.t_utc_ns, message.tick) == (5, 10**18, 3)
     assert second.message.seq == 2  # type: ignore[attr-defined]
     assert (b.counters.received, a.counters.sent) == (2, 2)
+
+
+def test_the_lab_tells_no_rigs_time(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says things of a rig, and runs on another machine, or beside a virtual one whose time is another."""
+    seen: list[int] = []
+    hearer = wire.client("flora-led", Tick, DiagnosisFound)
+    monkeypatch.setattr(hearer._clock, "observe", lambda mono_ns, _: seen.append(mono_ns))
+    speakers = {name: wire.client(name) for name in ("flora-lab", "flora-flash")}
+    for client in (*speakers.values(), hearer):
+        wire.turn(client)
+    speakers["flora-lab"].publish(DiagnosisFound(run="bean", verdict="nothing_wrong"))
+    speakers["flora-flash"].publish(Tick(tick=1, time_s=0.0))
+    assert len(wire.turn(hearer)) == 2
+    assert len(seen) == 1
 
 
 def test_late_joiner_is_handed_the_last_value_and_others_know_the_repeat(wire: Wire) -> None:

@@ -12,7 +12,7 @@ from flora_common.bus import Arrival
 from flora_common.clock import NS
 from flora_common.errors import BadInput
 from flora_common.health import HealthBoard, services_of_catalogue
-from flora_common.messages import CATALOGUE, Health, LightCommand, Message, Stem, Tick, encode, spec_of
+from flora_common.messages import CATALOGUE, DiagnosisFound, Health, LightCommand, Message, Stem, Tick, encode, spec_of
 from flora_monitor import show
 from flora_monitor.stats import MAX_STREAMS, OTHERS, Board, Spread, checked_pattern, matches, topic_lines
 
@@ -220,3 +220,23 @@ def test_terminal_line_shows_what_differs_from_the_default() -> None:
     assert "+300.000" in text
     assert "#12 time_s=3600 outcome=ok points_cm=[2 points, last (-1.50, 9.25)] quality=0.9" in text
     assert "reason" not in text
+
+
+def test_a_rig_that_was_started_anew_is_not_late_until_its_clock_has_caught_up() -> None:
+    """Its machine's clock counts from nought again: ten days are over, and a minute has begun."""
+    b = board()
+    for number in range(3):
+        b.hear(good(Tick(time_s=0.0, session="00000001"), mono_s=864_000.0 + 300.0 * number), 300.0 * number)
+    assert b.hear(good(Tick(time_s=0.0, session="00000002"), mono_s=60.0), 900.0) is None
+    (tick,) = b.rows(901.0)
+    assert (tick.age_s, tick.late, tick.period_s, tick.count) == (pytest.approx(1.0), False, 300.0, 4)
+
+
+def test_the_lab_tells_no_rigs_time() -> None:
+    """It is another machine, which may have run for longer."""
+    b = board()
+    b.hear(good(Tick(time_s=0.0), mono_s=100.0), 0.0)
+    b.hear(good(DiagnosisFound(run="bean", plant="", verdict="nothing_wrong", source="flora-lab"), mono_s=9e5), 5.0)
+    diagnosis, tick = b.rows(10.0)
+    assert (tick.topic, tick.age_s, tick.late) == ("box1/tick", pytest.approx(10.0), False)
+    assert diagnosis.age_s == pytest.approx(5.0)
