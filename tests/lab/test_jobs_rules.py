@@ -110,7 +110,7 @@ def test_what_was_noted_is_there_after_a_restart_and_what_was_at_work_waits_agai
     assert entry is not None
     assert entry.job == entries[0].job
     again.begins(entry, NOW)
-    assert entry.command() == ["evolve", "bean.simulator", "--resume"]
+    assert entry.command(tmp_path) == ["evolve", "bean.simulator", "--resume"]
 
 
 @pytest.mark.parametrize("work", rules.WORKS)
@@ -118,14 +118,22 @@ def test_only_what_can_go_on_is_told_to(tmp_path: Path, work: str) -> None:
     book = Book(tmp_path)
     entry = book.ask(job(1, "x", work=work), NOW)
     book.begins(entry, NOW)
-    assert entry.command() == [work, "x"]
+    assert entry.command(tmp_path) == [work, "x"]
     book.begins_later(entry)
     book.begins(entry, NOW)
-    assert entry.command() == [work, "x", *(["--resume"] if work in ("track", "train", "evolve") else [])]
+    assert entry.command(tmp_path) == [work, "x", *(["--resume"] if work in ("track", "train", "evolve") else [])]
 
 
-def test_who_says_resume_is_not_told_twice() -> None:
-    assert Entry("1", "train", ["x", "--resume"], attempts=2).command() == ["train", "x", "--resume"]
+def test_who_says_resume_is_not_told_twice(tmp_path: Path) -> None:
+    assert Entry("1", "train", ["x", "--resume"], attempts=2).command(tmp_path) == ["train", "x", "--resume"]
+
+
+def test_patterns_stand_for_what_is_in_the_labs_folder(tmp_path: Path) -> None:
+    for run in ("open-2", "open-1", "closed-1"):
+        (tmp_path / "nine" / run).mkdir(parents=True)
+    entry = Entry("1", "train", ["nine/open-*", "nothing/*", "-o", "--name=*", "bean.simulator"])
+    wanted = ["train", "nine/open-1", "nine/open-2", "nothing/*", "-o", "--name=*", "bean.simulator"]
+    assert entry.command(tmp_path) == wanted
 
 
 def test_nonsense_is_refused_and_not_noted(tmp_path: Path) -> None:

@@ -52,10 +52,10 @@ class Entry(msgspec.Struct):
     def is_over(self) -> bool:
         return self.stage in rules.OVER
 
-    def command(self) -> list[str]:
-        """Arguments of ``flora-lab``."""
+    def command(self, folder: Path) -> list[str]:
+        """Arguments of ``flora-lab``, in the folder of all jobs."""
         goes_on = self.attempts > 1 and self.work in rules.GO_ON and rules.RESUME not in self.arguments
-        return [self.work, *self.arguments, *([rules.RESUME] if goes_on else [])]
+        return [self.work, *rules.spelled_out(self.arguments, folder), *([rules.RESUME] if goes_on else [])]
 
 
 class _File(msgspec.Struct):

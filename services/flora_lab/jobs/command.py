@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Final
@@ -67,13 +68,17 @@ def submit(
     if as_json:
         told = ("job", "work", "stage", "share", "text", "before", "took_s")
         typer.echo(json.dumps({name: getattr(last, name) for name in told}))
-    text = f"job {last.job} ({last.work}): {last.stage}" + (f": {last.text}" if last.text else "")
+    named = "" if last.work == rules.KNOWN else f" ({last.work})"
+    text = f"job {last.job}{named}: {last.stage}" + (f": {last.text}" if last.text else "")
     if last.stage == "refused":
         raise BadInput(text)
     if last.stage == "failed" or (last.stage == "stopped" and not stop):
         raise JobFailed(text)
     if not (quiet or as_json):
-        typer.echo(text if last.stage in ("done", "stopped") else f"{text}; later: flora-lab submit --job {last.job}")
+        there = {"--config": config, "--publish": publish, "--subscribe": subscribe, "--rig": rig}
+        options = "".join(f"{name} {shlex.quote(str(value))} " for name, value in there.items() if value is not None)
+        later = f"{text}; later: flora-lab submit {options}--job {last.job}"
+        typer.echo(text if last.stage in ("done", "stopped") else later)
 
 
 def _asked(words: list[str], job: str | None, *, stop: bool) -> Job:

@@ -7,7 +7,8 @@ needs no key: nothing is signed and nothing published.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 from flora_common.errors import BadInput
@@ -34,7 +35,7 @@ def check(work: str, arguments: Sequence[str]) -> None:
         BadInput: it does not; one line that says why.
     """
     if work not in WORKS:
-        raise BadInput(f"`{work}` is no work for a lab{did_you_mean(work, WORKS)}; it does {', '.join(WORKS)}")
+        raise BadInput(f"`{work[:40]}` is no work for a lab{did_you_mean(work, WORKS)}")
     for argument in arguments:
         if not argument.isprintable():
             raise BadInput(f"argument {argument!r:.60}: has signs that cannot be printed")
@@ -45,3 +46,18 @@ def check(work: str, arguments: Sequence[str]) -> None:
         value = argument[option.end() :] if option else argument
         if value.startswith(("/", "~", "\\")) or ".." in re.split(r"[/\\]", value):
             raise BadInput(f"argument `{argument[:60]}`: name files relative to the folder of all jobs, and inside it")
+
+
+def spelled_out(arguments: Sequence[str], folder: Path) -> Iterator[str]:
+    """Arguments with what patterns such as ``nine/*`` stand for, in order: who asks does not see the lab's folder.
+
+    One that nothing fits stays as it is; the work says that there is no such thing.
+
+    Args:
+        arguments: that were checked.
+        folder: of all jobs.
+    """
+    for argument in arguments:
+        is_pattern = any(sign in argument for sign in "*?[") and not argument.startswith("-")
+        found = sorted(str(path.relative_to(folder)) for path in folder.glob(argument)) if is_pattern else []
+        yield from found or [argument]

@@ -105,7 +105,7 @@ class Runner:
             os.close(held)
             raise
         environment = {ENVIRONMENT: str((self._folder / PROGRESS_FILE).resolve())}
-        child = Child(entry.command(), held, folder=self._folder, environment=environment)
+        child = Child(entry.command(self._folder), held, folder=self._folder, environment=environment)
         self._at, self._stopped_s, self._told = (child, entry), None, None
         self._app.on_readable(child.ends_fd, self._ended)
         self._app.log.event("job_begins", job=entry.job, work=entry.work, attempt=entry.attempts)
