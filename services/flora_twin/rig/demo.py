@@ -34,6 +34,10 @@ def demo(
     controller: Annotated[
         str, typer.Option(help="evolved (signed, shipped with flora), a built-in one, or a .controller.json file.")
     ] = EVOLVED,
+    keys: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Public keys (*.pub) of those whose controllers the rig takes meanwhile."),
+    ] = None,
     fault: Annotated[
         list[str] | None, typer.Option(metavar="NAME@HOUR[:HOURS][=ARG]", help="A fault of the menu; repeatable.")
     ] = None,
@@ -51,7 +55,8 @@ def demo(
         rate=parse_speed(speed),
         hours=hours,
         controller=str(CONTROLLER) if controller == EVOLVED else _named(controller),
-        keys_dir=KEYS_DIR if controller == EVOLVED else None,
+        keys_dirs=((KEYS_DIR,) if controller == EVOLVED else ()) + ((_with_keys(keys),) if keys else ()),
+        is_signed=controller == EVOLVED,
         goes_on=True,
         faults=tuple(parse_fault(text) for text in fault or ()),
         quiet=quiet,
@@ -61,6 +66,17 @@ def demo(
     figures, outcome = run_experiment(asked, console)
     tell(console, out, figures, outcome)
     check_photographs(outcome)
+
+
+def _with_keys(folder: Path) -> Path:
+    """The folder.
+
+    Raises:
+        BadInput: no public key is in it.
+    """
+    if not any(folder.glob("*.pub")):
+        raise BadInput(f"--keys {folder}: holds no public key (*.pub); `flora-lab keygen` makes one")
+    return folder.resolve()
 
 
 def _named(controller: str) -> str:

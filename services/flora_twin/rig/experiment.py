@@ -22,7 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from flora_common.config import DASHBOARD_PORT
 from flora_common.controller_file import SUFFIX, LoadedController
 from flora_common.errors import BadInput, DiskFull, FloraError
-from flora_common.files import write_bytes
+from flora_common.files import make_folder, write_bytes
 from flora_common.geometry import collides
 from flora_common.installed import command
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
@@ -54,7 +54,8 @@ class Experiment:
         hours: length of the run.
         controller: a built-in name, the path of a controller file, or one that is read already. Of that the rig gets a
             copy of its own, so that nothing that happens to the file changes the run.
-        keys_dir: where given, a controller file that is named must be signed by one of the keys in it.
+        keys_dirs: folders of the public keys, ``*.pub``, of those whose controllers the rig takes.
+        is_signed: a controller file that is named must be signed by one of them.
         target, obstacle: the task.
         stop_height_cm: height of the tip that counts as the end.
         goes_on: for all its hours, whatever the plant does; else the run ends where it is over.
@@ -70,7 +71,8 @@ class Experiment:
     rate: float = 0.0
     hours: float = RUN_HOURS
     controller: str | LoadedController = "waypoint"
-    keys_dir: Path | None = None
+    keys_dirs: tuple[Path, ...] = ()
+    is_signed: bool = False
     target: Target = REALITY_TARGET
     obstacle: Obstacle = REALITY_OBSTACLE
     stop_height_cm: float = STOP_HEIGHT_CM
@@ -167,10 +169,13 @@ def _make_rig(root: Path, asked: Experiment, port: int | None) -> Layout:
     task = with_task(run_file, asked.target, asked.obstacle)
     sections: dict[str, dict[str, Any]] = {} if port is None else {"dashboard": {"port": port}}
     if not isinstance(asked.controller, LoadedController):
-        named = {"use": asked.controller}
-        if asked.keys_dir is not None:
-            named |= {"trust": "required", "keys_dir": str(asked.keys_dir)}
-        return make_layout(root, task, sections=sections | {"controller": named})
+        keys = root.resolve() / "keys"
+        named = {"use": asked.controller, "keys_dir": str(keys)} | ({"trust": "required"} if asked.is_signed else {})
+        layout = make_layout(root, task, sections=sections | {"controller": named})
+        make_folder(keys)
+        for number, path in enumerate(path for folder in asked.keys_dirs for path in sorted(folder.glob("*.pub"))):
+            write_bytes(keys / f"{number}-{path.name}", path.read_bytes())
+        return layout
     copy = root.resolve() / f"steering{SUFFIX}"
     # Whoever signed it, and whatever it was evolved for: this is where that is found out.
     rules = {"use": str(copy), "trust": "none", "task": "any", "stop_height_cm": asked.stop_height_cm}
