@@ -104,6 +104,15 @@ def test_the_lock_outlives_the_rig_that_is_replaced_and_ends_with_its_process(tm
         assert {entry.name for entry in root.iterdir()} >= {MARKER, LOCK_FILE}
 
 
+def test_other_work_in_the_folder_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "nine").mkdir()
+    (tmp_path / "nine" / "track.csv").write_text("mine")
+    for _ in range(2):
+        with claimed(tmp_path, DEMO) as root:
+            remove_sockets(make_layout(root, RunFile(camera=camera_section())))
+    assert (tmp_path / "nine" / "track.csv").read_text() == "mine"
+
+
 @pytest.mark.parametrize("command", [["demo", "--out"], ["experiment", "-o"]])
 def test_a_folder_with_files_of_ones_own_is_refused_whole(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]

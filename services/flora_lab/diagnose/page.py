@@ -266,7 +266,7 @@ def _gained(gain: Gain, pictures: Mapping[str, bytes]) -> list[str]:
         return []
     out = [html_page.section("What the extension gains")]
     if gain.judged_on:
-        out.append(html_page.paragraph(gain.judged_on))
+        out.append(html_page.paragraph(f"Judged on: {gain.judged_on}."))
     if "gain" in pictures:
         caption = "Error of the tip on runs that no fit has seen; the first stem alone is told. Less is better."
         picture = html_page.picture(pictures["gain"], "png", alt="errors by simulator and time", caption=caption)

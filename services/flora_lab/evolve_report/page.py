@@ -10,6 +10,7 @@ from flora_lab import html_page, judging
 from flora_lab.evolve import evolution_folder
 from flora_lab.evolve.evolution_folder import Evolution
 from flora_lab.evolve_report import tables, words
+from flora_lab.evolve_report.fitness_figures import FEWEST_RUNS
 from flora_lab.evolve_report.paper_results import BEST_PERCENT
 from flora_lab.evolve_report.pictures import Pictures, draw, write_pictures
 
@@ -69,10 +70,14 @@ def _headline(evolution: Evolution) -> list[tuple[str, str]]:
     runs = evolution.info.run
     best = runs[evolution.info.best_run - 1]
     middle = median(run.best_fitness for run in runs)
+    word = "best" if best.held_out_fitness is None else "chosen"
     figures = [
-        (judging.percent(best.best_fitness), f"fitness of the best controller, run {best.number}"),
+        (judging.percent(best.best_fitness), f"fitness of the {word} controller, run {best.number}"),
         (judging.percent(middle), f"median over {words.runs_text(len(runs))}"),
     ]
+    if best.held_out_fitness is not None:
+        others = f"the chosen one's on {evolution.info.individuals.held_out} plants that nothing was evolved on"
+        figures.append((judging.percent(best.held_out_fitness), others))
     if not evolution.task.is_possible.all():
         figures.append((judging.percent(best.best_fitness_possible), "the best, without impossible scenarios"))
         middle = median(run.best_fitness_possible for run in runs)
@@ -133,12 +138,11 @@ def _chosen_by(evolution: Evolution) -> str:
     return f" on {others} other plants, which nothing was evolved on" if others else ""
 
 
-def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
-    extinct = int(evolution.history.is_extinct.sum())
-    times = "once" if extinct == 1 else f"{extinct} times"
-    again = f" No species came further, and a new population began, {times}." if extinct else ""
+def _over_runs(runs: int, pictures: Pictures) -> list[str]:
+    if runs < FEWEST_RUNS:
+        caption = "Best fitness of a generation in each run, and their median."
+        return [html_page.picture(pictures.boxes, "png", alt="Best fitness of each generation", caption=caption)]
     return [
-        html_page.section("Fitness over generations"),
         html_page.picture(
             pictures.boxes,
             "png",
@@ -152,6 +156,16 @@ def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
             alt="Functional box plot of the best fitness of each generation",
             caption="The same as a functional box plot (Sun and Genton 2011): runs are ordered as whole curves.",
         ),
+    ]
+
+
+def _over_generations(evolution: Evolution, pictures: Pictures) -> list[str]:
+    extinct = int(evolution.history.is_extinct.sum())
+    times = "once" if extinct == 1 else f"{extinct} times"
+    again = f" No species came further, and a new population began, {times}." if extinct else ""
+    return [
+        html_page.section("Fitness over generations"),
+        *_over_runs(len(evolution.info.run), pictures),
         html_page.picture(
             pictures.scenarios,
             "png",

@@ -47,8 +47,9 @@ def tip_and_lamps(summary: RunSummary) -> str:
     if summary.run.target is not None:
         axes.axhline(summary.run.target.x_cm, color=TARGET, linestyle=":", linewidth=1, label="target x")
     _lamp_band(axes, [f.time_s / 3600 for f in summary.frames], [f.light for f in summary.frames])
+    axes.margins(y=0.12)  # the band is not to lie on a curve
     axes.set(xlabel="hours", ylabel="cm", xlim=(0, max(hours[-1], 0.1)))
-    axes.legend(loc="upper left", frameon=False, fontsize=8)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=8)
     return _svg(figure)
 
 
@@ -59,8 +60,10 @@ def fitness_curve(summary: RunSummary) -> str:
     figure, axes = plt.subplots(figsize=(8.4, 2.6))
     hours = summary.track.time_s / 3600
     axes.plot(hours, 100 * summary.fitness_over_time, color="black")
-    axes.axvline(hours[summary.stop_row], color=GREY, linestyle="--", linewidth=1)
-    axes.text(hours[summary.stop_row], 5, " stop rule", color=GREY, fontsize=8)
+    stop_h = hours[summary.stop_row]
+    axes.axvline(stop_h, color=GREY, linestyle="--", linewidth=1)
+    side = "right" if stop_h > 0.5 * hours[-1] else "left"
+    axes.text(stop_h, 5, f" {summary.stop_reason} ", color=GREY, fontsize=8, ha=side)
     axes.set(xlabel="hours", ylabel="fitness (%)", ylim=(min(0.0, 100 * summary.fitness_over_time.min()), 105))
     axes.set_xlim(0, max(hours[-1], 0.1))
     return _svg(figure)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from flora_common.config import DASHBOARD_PORT
 from flora_common.controller_file import SUFFIX, LoadedController
@@ -256,10 +256,9 @@ def _grow(rig: VirtualRig, asked: Experiment, console: Console) -> None:
     progress = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.1f}/{task.total:g} h"),
-        TimeElapsedColumn(),
+        TextColumn("{task.completed:.1f}/{task.total:g} h,"),
+        TimeRemainingColumn(compact=True),
         TextColumn("left"),
-        TimeRemainingColumn(),
         console=console,
         disable=asked.quiet,
     )

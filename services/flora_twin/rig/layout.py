@@ -21,6 +21,8 @@ from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET
 from flora_common.runs import ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
 from flora_common.shapes import Obstacle, Target
 
+RESULTS: Final = ("rig", "report.html", "strip.png", "strip.jpg", "outcome.json", "asked.controller.json")
+"""All that a virtual rig's run may leave in its folder."""
 MARKER: Final = ".flora-rig"
 """Marks a folder as one of ours, and says which command made it: only such a folder is ever emptied."""
 LOCK_FILE: Final = "lock"
@@ -72,7 +74,7 @@ def claimed(out: Path, made_by: str) -> Iterator[Path]:
     """Hold a folder of results for this process, and give the folder in it for the rig: nothing is removed yet.
 
     Args:
-        out: new, empty, or of the same command; anything else is left as it is.
+        out: new, of the same command, or without any of :data:`RESULTS`; whatever else is there is left as it is.
         made_by: the command.
 
     Raises:
@@ -102,8 +104,8 @@ def _check_maker(out: Path, made_by: str) -> None:
         if out.exists() or out.is_symlink():
             raise BadInput(f"{out}: is there already and no folder; choose another one")
         return
-    if not any(out.iterdir()):
-        return
+    if not any((out / name).exists() for name in RESULTS):
+        return  # what else is there is not touched
     try:
         said = (out / RIG_FOLDER / MARKER).read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -100,7 +100,7 @@ def tell(console: Console, out: Path, figures: dict[str, Any], outcome: Outcome)
         (
             "pictures",
             f"{integrity.announced} announced, {integrity.missing} missing, {integrity.torn} torn, "
-            f"{integrity.announced - integrity.not_stored} at the NAS; {len(outcome.seen.missed)} ticks without one",
+            f"{integrity.announced - integrity.not_stored} at the NAS; {_ticks(len(outcome.seen.missed))} without one",
         )
     )
     lines.append(("stems", ", ".join(f"{count} {name}" for name, count in sorted(outcome.seen.outcomes.items()))))
@@ -112,3 +112,7 @@ def tell(console: Console, out: Path, figures: dict[str, Any], outcome: Outcome)
     lines.append(("look at", f"{out / 'report.html'}  and  {out / 'strip.png'}"))
     for name, value in lines:
         console.print(f"{name:<10} {value}")
+
+
+def _ticks(count: int) -> str:
+    return "1 tick" if count == 1 else f"{count} ticks"
