@@ -124,7 +124,9 @@ def one_run(run: MeasuredRun, index: int, entry: Entry, summary: Summary) -> byt
     if len(simulated) > 1:
         legend.append((f"{entry.name}, after watching {summary.plan.watch_h:g} h", ORANGE, "-"))
     handles = [Line2D([], [], color=colour, linestyle=style, linewidth=1.8) for _, colour, style in legend]
-    figure.legend(handles, [name for name, _, _ in legend], loc="outside lower center", ncols=3, frameon=False)
+    names = [name for name, _, _ in legend]
+    # Twice the usual padding keeps it off the panels' labels.
+    figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False, borderpad=0.8, borderaxespad=0.0)
     title = f"{run.name} ({run.plant}), running free; dots on the path are where the stems are"
     title += f"; {entry.name} also goes outside the picture" if outside else ""
     figure.suptitle(f"{title}\n", fontsize=10)  # the empty line keeps it off the panels' titles
