@@ -33,7 +33,8 @@ class ImpatientProtocol(H11Protocol):
         self.loop.call_later(REQUEST_WITHIN_S, self._hang_up)
 
     def _hang_up(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
+        request: object = self.cycle  # None before the first one
+        if request is None and not self.transport.is_closing():
             self.transport.close()
 
 
