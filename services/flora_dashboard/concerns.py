@@ -116,7 +116,7 @@ def _of_plant(inbox: Freshness) -> Iterator[Concern]:
         best = "" if state.best_fitness is None else f" Best fitness {100.0 * state.best_fitness:.1f} %."
         yield Concern("good", f"The tip has reached the target.{best}")
     if state.run_over:
-        yield Concern("notice", f"The run is over: {state.reason}")
+        yield Concern("notice", f"The run is over: {state.reason.removeprefix('run over: ')}")
 
 
 def _of_lab(inbox: Freshness, run: str) -> Iterator[Concern]:

@@ -250,7 +250,12 @@ def test_where_all_is_well_nothing_is() -> None:
         (LightCommand(light="left", blind=True, reason="no stem"), "problem", "without a stem. no stem"),
         (ControllerState(controller="a", collided=True, collided_at_s=7200.0), "problem", "obstacle at hour 2.0"),
         (ControllerState(controller="a", target_reached=True, best_fitness=0.987), "good", "Best fitness 98.7 %"),
-        (ControllerState(controller="a", run_over=True, reason="21 cm high"), "notice", "over: 21 cm high"),
+        (ControllerState(controller="a", run_over=True, reason="21 cm high"), "notice", "The run is over: 21 cm high"),
+        (
+            ControllerState(controller="a", run_over=True, reason="run over: a wall"),
+            "notice",
+            "The run is over: a wall",
+        ),
         (ControllerState(controller="a", shadow="b", shadow_ticks_left=3), "notice", "b runs in shadow, 3 ticks"),
         (Setup(active=True, step=2, steps=8), "notice", "step 2 of 8"),
         (Departure(run="bean-01", is_departed=True, sentence="9 mm to the right"), "problem", "9 mm to the right"),
