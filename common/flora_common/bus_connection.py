@@ -154,7 +154,7 @@ class Handshakes:
     @property
     def is_up(self) -> bool:
         """Whether the first one is connected, by what was read until now; always where bus and we are one process."""
-        return not self._has_life or self._watched[0].is_up
+        return not self._has_life or (bool(self._watched) and self._watched[0].is_up)
 
     @property
     def monitors(self) -> list[zmq.Socket[Any]]:
@@ -173,6 +173,6 @@ class Handshakes:
             watched.tend(now_s)
 
     def close(self) -> None:
-        """Look no further; before the sockets are closed."""
-        for watched in self._watched:
-            watched.close()
+        """Look no further; before the sockets are closed. Once more does nothing."""
+        while self._watched:
+            self._watched.pop().close()

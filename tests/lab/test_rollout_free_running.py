@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulator_fakes import ALONG, GROWTH_CM_H, LEAN_CM_H, StraightPlant, straight_run
 
-from flora_common.geometry import FloatArray
+from flora_common.geometry import FloatArray, polyline_length
 from flora_lab.rollout.free_running import (
     NO_START,
     Judged,
@@ -16,7 +16,6 @@ from flora_lab.rollout.free_running import (
     errors_between,
     free_run,
     judge,
-    length_cm,
     one_step,
     parting_mm,
     start_rows,
@@ -64,7 +63,7 @@ def test_distances_and_growth_by_hand() -> None:
     errors = errors_between(simulated, measured, start)
     assert errors.tip_mm == pytest.approx(10.0 * np.hypot(0.3, 1.0))
     assert errors.stem_mm == pytest.approx(10.0 * np.hypot(0.3, ALONG[1:]).mean())
-    assert errors.growth == pytest.approx((length_cm(simulated) - 8.0) / 2.0 - 1.0)
+    assert errors.growth == pytest.approx((polyline_length(simulated) - 8.0) / 2.0 - 1.0)
 
 
 def test_growth_is_not_told_where_nothing_grew_nor_errors_where_nothing_was_measured() -> None:

@@ -154,6 +154,9 @@ def test_a_bus_that_has_gone_is_noticed_and_one_that_has_come_back(tmp_path: Pat
         client.publish(Tick(tick=7, time_s=1.0))
         heard = [arrival.message for arrival in wire.turn(client) if isinstance(arrival, Arrival)]
         assert [message.tick for message in heard if isinstance(message, Tick)] == [7]
+        client.close()
+        client.close()
+        assert not client.connected
     finally:
         wire.close()
 

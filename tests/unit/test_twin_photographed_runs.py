@@ -215,7 +215,7 @@ def test_the_command_photographs_and_the_lab_finds_the_stems(
     folder = tmp_path / "one"
     arguments = ["runs", "--photographs", "--open-loop", "1", "--closed-loop", "0", "--hours", "1", "-o", str(folder)]
     assert main(arguments) == 0
-    assert "photographed 1 runs of 1 h" in capsys.readouterr().out
+    assert "photographed 1 run of 1 h" in capsys.readouterr().out
     run = folder / "open-1"
     assert lab(["track", str(run), "-o", str(tmp_path / "track.csv"), "-q"]) == 0
     found, true = read_track(tmp_path / "track.csv"), read_track(run / TRUTH_CSV)
