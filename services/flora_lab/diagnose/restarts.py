@@ -70,11 +70,11 @@ def lost_from(run: MeasuredRun, restarts: list[Restart]) -> int:
 def _sound(rows: Array, measured: Array) -> int | None:
     """The first of some rows that was measured with those on both sides of it; else that was measured; else beside
     which one was."""
-    for judge in (lambda row: measured[row - 1 : row + 2].all(), lambda row: measured[row]):
-        sound = [row for row in rows if judge(row)]
-        if sound:
-            return int(sound[0])
-    return next((int(row) for row in rows if measured[row - 1 : row + 2].any()), None)
+    about = np.stack([measured[rows - 1], measured[rows], measured[rows + 1]])
+    for is_sound in (about.all(axis=0), about[1], about.any(axis=0)):
+        if is_sound.any():
+            return int(rows[np.argmax(is_sound)])
+    return None
 
 
 def _long_gaps(run: MeasuredRun) -> list[UnseenLight]:
