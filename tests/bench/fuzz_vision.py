@@ -7,7 +7,7 @@ Each picture is read twice, decoded as the services do: by a tracker that has se
 followed good pictures five minutes apart up to the one that was damaged. The second is then shown the next good picture
 and must find the plant again. A reading is *wrong* where its outcome is ``ok`` and its tip is farther from the true one
 than 10 mm and three of its own standard deviations, or where no answer can be right. Undamaged pictures go the same way
-and tell what is the damage's fault.
+and tell what is the damage's fault: not what is wrong in them, too, and no tip within a millimetre of theirs.
 
 A rig has noted the SHA-256 of each picture when it was taken, and neither flora-stem nor ``flora-lab track`` reads a
 file that has another. What becomes of such files here is told as if nobody had noted it; where that is wrong, it is
@@ -63,8 +63,8 @@ MODES: Final = (FRESH, FOLLOWING, AFTER)
 REFUSED, RIGHT, WRONG, OTHER, ENDED = "refused", "ok, right", "ok, WRONG", "other", "ENDED"
 VERDICTS: Final = (REFUSED, NO_STEM, OTHER, RIGHT, WRONG, ENDED)
 HASH_REFUSES: Final = "the hash refuses it"
-WRONG_ANYWAY: Final = "undamaged as wrong"
-"""Of those that are wrong: how many were so before they were damaged."""
+WRONG_ANYWAY, SAME_TIP_MM = "undamaged as wrong", 1.0
+"""Of those that are wrong: how many were so before they were damaged, or have their tip within this of where it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,19 +167,21 @@ class Setting:
 
     def results(self, count: int) -> Iterator[Result]:
         """What becomes of these pictures, three results each."""
-        wrong_anyway: set[tuple[str, int]] = set()
+        undamaged: dict[tuple[str, int], tuple[str, FloatArray | None]] = {}
         for number, picture in enumerate(self.pictures(count)):
-            for mode, verdict, said in self.judged(picture):
-                if verdict == WRONG and picture.kind == UNDAMAGED:
-                    wrong_anyway.add((mode, picture.source))
-                anyway = verdict == WRONG and (mode, picture.source) in wrong_anyway
+            for mode, verdict, said, tip_cm in self.judged(picture):
+                if picture.kind == UNDAMAGED:
+                    undamaged[mode, picture.source] = verdict, tip_cm
+                before, before_cm = undamaged[mode, picture.source]
+                same_stem = picture.truth_cm is self.sources[picture.source].good.centreline_cm
+                anyway = verdict == WRONG and (before == WRONG or (same_stem and is_same_tip(tip_cm, before_cm)))
                 words = f"{said}; {WRONG_ANYWAY}" if anyway else said
                 if verdict == WRONG and not anyway and self.is_right_with_hash(picture, mode):
                     words = f"{said}; {HASH_REFUSES}"
                 yield Result(self.seed, number, picture.kind, mode, verdict, words)
 
-    def judged(self, picture: Damaged) -> Iterator[tuple[str, str, str]]:
-        """Mode, verdict and words for each mode."""
+    def judged(self, picture: Damaged) -> Iterator[tuple[str, str, str, FloatArray | None]]:
+        """Mode, verdict, words, and the tip, for each mode."""
         source, truth_cm = self.sources[picture.source], picture.truth_cm
         memory = source.memory
         try:
@@ -188,7 +190,7 @@ class Setting:
                 decoded = self.decoded(picture.data)
                 fresh = self.tracker.read(decoded, source.time_s)
             except BadPicture as refusal:
-                yield from ((mode, REFUSED, str(refusal)) for mode in (FRESH, FOLLOWING))
+                yield from ((mode, REFUSED, str(refusal), None) for mode in (FRESH, FOLLOWING))
             else:
                 yield FRESH, *verdict(fresh, truth_cm)
                 # as the rig does: near the place where the stem was, if that is enough
@@ -199,21 +201,29 @@ class Setting:
             after = self.tracker.follow(source.after, source.time_s + EVERY_S)
             yield AFTER, *verdict(after, source.after_cm)
         except Exception:  # noqa: BLE001 - whatever it is: a service would have ended
-            yield FOLLOWING, ENDED, traceback.format_exc()
+            yield FOLLOWING, ENDED, traceback.format_exc(), None
 
 
-def verdict(reading: StemReading, truth_cm: FloatArray | None) -> tuple[str, str]:
-    """One of ``VERDICTS``, and words for it."""
+def verdict(reading: StemReading, truth_cm: FloatArray | None) -> tuple[str, str, FloatArray | None]:
+    """One of ``VERDICTS``, words for it, and the tip, cm, where one was told without doubt."""
     if reading.outcome == NO_STEM:
-        return NO_STEM, reading.reason
+        return NO_STEM, reading.reason, None
     if reading.outcome != OK or reading.points_cm is None or reading.uncertainty_mm is None:
-        return OTHER, f"{reading.outcome}: {reading.reason}"
+        return OTHER, f"{reading.outcome}: {reading.reason}", None
+    tip_cm = reading.points_cm[-1]
     if truth_cm is None:
-        return WRONG, "where there is none"
-    off_mm = 10.0 * float(np.hypot(*(reading.points_cm[-1] - truth_cm[-1])))
+        return WRONG, "where there is none", tip_cm
+    off_mm = 10.0 * float(np.hypot(*(tip_cm - truth_cm[-1])))
     sure_mm = float(reading.uncertainty_mm[-1])
     words = f"tip {off_mm:.1f} mm off, said {sure_mm:.1f} mm"
-    return (WRONG if off_mm > max(CONFIDENT_TIP_MM, 3.0 * sure_mm) else RIGHT), words
+    return (WRONG if off_mm > max(CONFIDENT_TIP_MM, 3.0 * sure_mm) else RIGHT), words, tip_cm
+
+
+def is_same_tip(tip_cm: FloatArray | None, other_cm: FloatArray | None) -> bool:
+    """Whether two readings end at one place."""
+    if tip_cm is None or other_cm is None:
+        return False
+    return 10.0 * float(np.hypot(*(tip_cm - other_cm))) < SAME_TIP_MM
 
 
 def fuzzed(family: str, seed: int, count: int) -> list[Result]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,23 @@ def test_a_line_that_goes_on_where_the_stem_beside_it_leads() -> None:
 )
 def test_what_is_no_stem_beside_the_anchor_leads_nowhere(other: Strand) -> None:
     assert not goes_over(JOINING, STRENGTH, [other], CAMERA)
+
+
+def test_the_stem_beside_is_followed_up_over_what_hides_it() -> None:
+    far = along((0.0, 0.0), (0.6, 6.0), (2.6, 12.0), (3.6, 14.0))
+    low, high = along((3.6, 0.2), (3.6, 1.5)), along((3.6, 3.5), (3.6, 9.0))
+    aside, back = along((4.6, 3.5), (4.6, 9.0)), along((3.6, 3.5), (2.0, 4.0))
+    beyond = along((3.6, 4.5), (3.6, 9.0))
+    for upper, goes in ((high, True), (high[::-1], True), (aside, False), (back, False), (beyond, False)):
+        assert goes_over(far, STRENGTH, [piece(low), piece(upper)], CAMERA) is goes
+
+
+def test_pieces_that_lie_in_a_ring_come_to_an_end() -> None:
+    corners = [(3.0 + np.cos(a), 1.2 + np.sin(a)) for a in np.arange(-2.0, 4.5, 0.35)]
+    ring = [piece(along(a, b)) for a, b in itertools.pairwise(corners)]
+    assert not goes_over(
+        along((0.0, 0.0), (0.0, 12.0)), STRENGTH, [piece(along((4.0, 0.0), (4.0, 1.0))), *ring], CAMERA
+    )
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -13,7 +13,8 @@ from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, tip_error_mm
 
 from flora_common.errors import BadPicture
 from flora_common.vision.lamp_states import EmptySetup, from_background
-from flora_common.vision.path.likeness import Likeness, SetupLikeness
+from flora_common.vision.path import doubts
+from flora_common.vision.path.likeness import USUAL, Likeness, SetupLikeness
 from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.survey import Survey, Surveyor
@@ -267,6 +268,43 @@ def test_a_torn_picture_differs_in_one_band_and_where_plant_stands_nothing_is_ex
     plant[45:80] = 1
     hidden = SetupLikeness(like, ANCHOR[1]).of(replace(survey, plant=plant))
     assert hidden.worst_band > 0.8
+
+
+POLE = np.tile(np.full((1, WIDTH, 1), 70.0), (HEIGHT, 1, 3))
+POLE[:, 60:75] = 160.0
+POLE[300:306] = 140.0
+
+
+@pytest.mark.parametrize(("right_px", "down_px"), [(0.0, 12.0), (9.0, 0.0), (-30.0, 20.0), (60.0, -60.0)])
+def test_a_camera_that_has_moved_is_told_by_how_much_though_a_pole_is_like_itself(
+    right_px: float, down_px: float
+) -> None:
+    like = from_background([photograph(None, 1, board=POLE)])
+    matrix = np.array([[1.0, 0.0, right_px], [0.0, 1.0, down_px]])
+    moved = np.asarray(cv2.warpAffine(photograph(swaying(2.0), 2, board=POLE), matrix, (WIDTH, HEIGHT), borderMode=2))
+    found = likeness(like, moved)
+    assert WIDTH * found.moved == pytest.approx(math.hypot(right_px, down_px), abs=3.0)
+    assert "camera has moved" in USUAL.unmet(0.0, found)
+    stays = likeness(like, photograph(swaying(2.0), 2, board=POLE))
+    assert WIDTH * stays.moved < 1.0
+    assert not USUAL.unmet(0.0, stays)
+
+
+@pytest.mark.parametrize(
+    "covered", [(9.0, 0.0, -6.0), (-9.0, -9.0, -9.0)], ids=["of another colour", "a little darker"]
+)
+def test_what_stands_before_the_board_where_the_first_picture_s_stem_ends_may_hide_more(
+    covered: tuple[float, float, float],
+) -> None:
+    line = swaying(2.0)[:41]
+    picture = photograph(line, 5)
+    hand = picture.copy()
+    x, y = (round(v) for v in np.array(ANCHOR) + line[-1] * np.array([SCALE, -SCALE]))
+    patch = np.s_[y - 40 : y - 3, x - 35 : x + 35]
+    hand[patch] = np.clip(photograph(None, 5)[patch] + np.array(covered), 0, 255).astype(np.uint8)
+    first = tracker().read(hand, 0.0)
+    assert (first.outcome, first.reason) == ("occluded", doubts.HIDES_MORE)
+    assert tracker().read(picture, 0.0).outcome == "ok"
 
 
 @pytest.mark.parametrize("noise", [0.0, 4.0, 8.0])

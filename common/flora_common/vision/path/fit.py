@@ -208,6 +208,8 @@ class Fitter:
                 unsure = neighbours.BESIDE
             elif neighbours.goes_over(final.line, strength, pieces, self._camera):
                 unsure = neighbours.GOES_OVER
+            else:
+                unsure = doubts.hides_more(final.line, sight.flat, scale)
         if fit.held:
             unsure = doubts.ANOTHER_PART
         unsure = doubts.fades(final, sampler, scale) or doubts.ends_in_leaf(final, sampler, scale) or unsure
@@ -251,6 +253,8 @@ class Fitter:
         if petiole:
             unsure = "it bears nothing but one leaf from a fork on, as a petiole does"
         unsure = unsure or doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm)
+        if past.before is None and not unsure:
+            unsure = doubts.hides_more(final.line, sight.flat, scale)
         doubt = doubts.doubt(final, sampler, scale, touching_cm=sight.touching_cm, above_cm=above_cm)
         return Judged(doubt, unsure, alone, sure, petiole)
 

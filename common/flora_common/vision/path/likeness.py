@@ -46,6 +46,10 @@ BANDS, LEAST_OF_BAND = 5, 4
 """Level bands that a picture is cut into, and how many telling squares one needs to be judged by itself."""
 SAME: Final = 0.5
 """Correlation from which a square counts as the setup's."""
+SEARCHED: Final = 13
+"""So far the setup is looked for in either direction, px of the reduced picture."""
+FOUND, BETTER = 0.5, 1.2
+"""Correlation from which the whole of it is found there, and how many times less it lacks there than where it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,9 @@ class Likeness:
             flipped goes on moved, or tinted, from a row on.
         uneven: the largest step of the slow deviation from the setup, code units from one square to the next. Flash,
             exposure and lamps change little from one to the next; an arm, or fog, does.
+        moved: how far the setup lies from where it was, in widths of the picture, by where its structure fits best; 0
+            where it is not found. One pole, or a shelf, is like itself wherever it is moved along its length, so that
+            squares tell less of this than the whole does.
     """
 
     correlation: float = 1.0
@@ -67,6 +74,7 @@ class Likeness:
     elsewhere: float = 0.0
     worst_band: float = 1.0
     uneven: float = 0.0
+    moved: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +83,7 @@ class Demands:
 
     Attributes:
         changed: share of the picture away from the plant that differs.
-        correlation, worst_band, gain, elsewhere, uneven: as in :class:`Likeness`.
+        correlation, worst_band, gain, elsewhere, uneven, moved: as in :class:`Likeness`.
     """
 
     changed: float
@@ -84,9 +92,15 @@ class Demands:
     gain: float
     elsewhere: float
     uneven: float = math.inf
+    moved: float = 0.0025
 
     def unmet(self, changed: float, likeness: Likeness) -> str:
         """Why a picture shows nothing that could be believed, one clause; empty where it does."""
+        if likeness.moved > self.moved:
+            return (
+                f"the camera has moved by {likeness.moved:.1%} of the picture's width; put it back, or take background "
+                "pictures anew"
+            )
         if changed > self.changed:
             return f"{changed:.1%} of the picture differ from the empty setup; light, exposure or camera changed"
         if likeness.correlation < self.correlation or likeness.elsewhere > self.elsewhere:
@@ -122,8 +136,11 @@ class SetupLikeness:
 
     def __init__(self, setup: EmptySetup, anchor_y_px: float) -> None:
         self._states: list[_Telling | None] = []
+        self._whole: list[Float32Array] = []
         for state in setup.states:
-            squares, noise = _structure(state.coarse)
+            whole, grain = _structure(state.coarse)
+            self._whole.append(whole)
+            squares, noise = _squares(whole), _noise(grain)
             power = (squares**2).mean(axis=1)
             order = np.argsort(-power, kind="stable")[: max(LEAST_SQUARES, round(TELLING * len(power)))]
             order = order[power[order] > np.maximum(LEAST_STRUCTURE**2, OVER_NOISE * noise[order])]
@@ -138,7 +155,8 @@ class SetupLikeness:
 
         Full likeness where the setup has no structure.
         """
-        squares, noise = _structure(survey.coarse)
+        whole, grain = _structure(survey.coarse)
+        squares, noise = _squares(whole), _noise(grain)
         hidden = self._hidden(survey)
         likely = self._one(survey.number, squares, noise, hidden)
         if likely is None or OF_THE_FIRST.unmet(0.0, likely):
@@ -149,7 +167,9 @@ class SetupLikeness:
                 key=lambda one: one.correlation + one.worst_band - one.elsewhere,
                 default=Likeness(),
             )
-        return replace(likely, uneven=_largest_step(survey.slow))
+        known = self._states[survey.number] is not None
+        moved = _distance(self._whole[survey.number], whole) if known else 0.0
+        return replace(likely, uneven=_largest_step(survey.slow), moved=moved)
 
     def _one(
         self, number: int, squares: Float32Array, noise: Float32Array, hidden: npt.NDArray[np.bool_]
@@ -197,14 +217,37 @@ def _largest_step(slow: Float32Array) -> float:
     return max(float(step.max(initial=0.0)) for step in steps)
 
 
+def _distance(empty: Float32Array, here: Float32Array) -> float:
+    """How far a picture's structure lies from the empty setup's, in its widths; 0 where it is not found."""
+    reach = SEARCHED
+    margins = cv2.copyMakeBorder(empty, *(4 * (reach,)), cv2.BORDER_CONSTANT, value=0.0)
+    likeness = np.asarray(cv2.matchTemplate(margins, here, cv2.TM_CCORR_NORMED), dtype=np.float32)
+    _, most, _, (x, y) = cv2.minMaxLoc(likeness)
+    if most < FOUND or 1.0 - float(likeness[reach, reach]) < BETTER * (1.0 - most):
+        return 0.0
+    return math.hypot(_peak(likeness[y], x) - reach, _peak(likeness[:, x], y) - reach) / int(here.shape[1])
+
+
+def _peak(values: Float32Array, greatest: int) -> float:
+    """Where a parabola through the greatest value and its neighbours is greatest."""
+    if not 0 < greatest < len(values) - 1:
+        return float(greatest)
+    before, here, after = (float(v) for v in values[greatest - 1 : greatest + 2])
+    bend = before - 2.0 * here + after
+    return greatest + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
+
+
 def _structure(coarse: Picture) -> tuple[Float32Array, Float32Array]:
-    """Squares of structure, shape (squares, pixels of each), and the power of noise in each."""
+    """Of the picture reduced once more: its structure, and what is finer, which noise is."""
     half = (max(1, coarse.shape[1] // 2), max(1, coarse.shape[0] // 2))
     grey = cv2.resize(np.ascontiguousarray(coarse[..., 1]), half, interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = cv2.GaussianBlur(grey, (0, 0), FINE) - cv2.GaussianBlur(grey, (0, 0), BROAD)
-    grain = grey - cv2.GaussianBlur(grey, (0, 0), GRAIN)
-    noise = NOISE_PASSES * (_squares(grain) ** 2).mean(axis=1)
-    return _squares(np.clip(fine, -CLIP, CLIP)), noise
+    return np.clip(fine, -CLIP, CLIP), grey - cv2.GaussianBlur(grey, (0, 0), GRAIN)
+
+
+def _noise(grain: Float32Array) -> Float32Array:
+    """The power of noise among the structure of each square."""
+    return np.asarray(NOISE_PASSES * (_squares(grain) ** 2).mean(axis=1), dtype=np.float32)
 
 
 def _grid(height: int, width: int) -> tuple[int, int, int]:

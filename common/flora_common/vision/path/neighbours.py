@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,9 @@ LEADS_FOOT_CM, LEADS_RISES_CM, LEADS_ALIKE = 2.0, 0.9, 0.2
 """The same of one to which the line goes over: higher up, shorter, fainter, for that is another sign of it."""
 LEADS_CM, ALONG_CM, ALONG_FOR_CM = 8.0, 1.0, 0.5
 """So far it leads on from what is seen of it. A line within the second of that, over the third, goes over to it."""
+NEXT_CM, NEXT_OFF_CM, NEXT_TURN, HEADING_CM = 2.5, 0.5, 0.8, 1.5
+"""The next piece of it begins no farther ahead of its top and no farther aside, and goes on at an angle of no less a
+cosine; ahead is where the last of it, over the fourth, leads."""
 STEPS_RAD, STEPS_CM, CHORD_CM, EVERY_CM = 0.6, 1.0, 0.3, 0.1
 """A line steps aside that is turned by the first from how it goes at the second below, and as much above; told of
 chords of the third, every fourth. Of good pictures' stems the most is 0.43."""
@@ -46,7 +49,7 @@ def another_stem(
     )
 
 
-def goes_over(line_px: FloatArray, strength: float, pieces: Iterable[Strand], camera: CameraSection) -> bool:
+def goes_over(line_px: FloatArray, strength: float, pieces: Sequence[Strand], camera: CameraSection) -> bool:
     """Whether a line may leave the plant at the anchor for another one.
 
     It does where it goes on as a stem beside the anchor leads, or where it steps aside: it lies level for a little, and
@@ -59,7 +62,8 @@ def goes_over(line_px: FloatArray, strength: float, pieces: Iterable[Strand], ca
     s = arc_length(line_px)
     even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * scale))
     return _steps_aside(even) or any(
-        float(np.median(piece.strength)) > LEADS_ALIKE * strength and _is_along(even, piece, scale)
+        float(np.median(piece.strength)) > LEADS_ALIKE * strength
+        and _is_along(even, _up_from(piece.points, [other.points for other in pieces], scale), scale)
         for piece in _rising(line_px, pieces, camera, LEADS_RISES_CM, LEADS_FOOT_CM)
     )
 
@@ -84,13 +88,42 @@ def _rising(
             yield low
 
 
-def _is_along(even_px: FloatArray, piece: Strand, px_per_cm: float) -> bool:
-    """Whether a line, told every :data:`EVERY_CM`, goes along a piece of stem, or along where it leads from its top."""
-    points = piece.points
-    ahead = points[-1] - points[0]
-    ahead = ahead / max(1e-9, float(np.hypot(*ahead)))
-    onwards = points[-1] + np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * ahead
-    places = np.concatenate([points[::2], onwards])
+def _up_from(stem_px: FloatArray, pieces_px: Iterable[FloatArray], px_per_cm: float) -> FloatArray:
+    """A piece of stem with those that go on from its top, one after the other: leaves hide parts of it."""
+    left = {number: (piece, piece[::-1]) for number, piece in enumerate(pieces_px)}
+    while True:
+        top = stem_px[-1]
+        ahead = _direction(_within(stem_px[::-1], HEADING_CM * px_per_cm)[-1], top)
+        following = []
+        for number, ways in left.items():
+            for way in ways:
+                off = way[0] - top
+                far, aside = float(off @ ahead), abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
+                goes = _direction(way[0], _within(way, HEADING_CM * px_per_cm)[-1])
+                if 0.0 < far < NEXT_CM * px_per_cm and aside < NEXT_OFF_CM * px_per_cm and goes @ ahead > NEXT_TURN:
+                    following.append((far, number, way))
+        if not following:
+            return stem_px
+        _, number, way = min(following, key=lambda one: one[:2])
+        stem_px = np.concatenate([stem_px, way])
+        del left[number]
+
+
+def _within(points_px: FloatArray, reach_px: float) -> FloatArray:
+    """The first of them, up to so far from where they begin."""
+    return np.asarray(points_px[np.hypot(*(points_px - points_px[0]).T) <= reach_px])
+
+
+def _direction(start: FloatArray, end: FloatArray) -> FloatArray:
+    """From one place to another, of length 1; nothing where they are one."""
+    way = end - start
+    return np.asarray(way / max(1e-9, float(np.hypot(*way))))
+
+
+def _is_along(even_px: FloatArray, stem_px: FloatArray, px_per_cm: float) -> bool:
+    """Whether a line, told every :data:`EVERY_CM`, goes along a stem, or along where that leads from its top."""
+    onwards = np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * _direction(stem_px[0], stem_px[-1])
+    places = np.concatenate([stem_px[::2], stem_px[-1] + onwards])
     away = np.hypot(*(even_px[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
     return bool(np.count_nonzero(away < ALONG_CM * px_per_cm) * EVERY_CM > ALONG_FOR_CM)
 

@@ -11,6 +11,7 @@ from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.likeness import Likeness
 from flora_common.vision.path.strands import Strands, find_strands
+from flora_common.vision.path.survey import Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,7 @@ class Sight:
         widest_px: what is thicker is leaf.
         foot_px: the place in the window that is nearest to the anchor.
         ways: what the network tells, likeliest first; none where there is no plant.
+        flat: how the whole picture differs from the empty setup, as :class:`.survey.Survey` has it.
     """
 
     evidence: Evidence
@@ -31,6 +33,7 @@ class Sight:
     camera: CameraSection
     widest_px: float
     foot_px: tuple[float, float]
+    flat: Float32Array
     ways: tuple[Way, ...] = ()
 
     @cached_property

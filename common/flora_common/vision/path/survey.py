@@ -71,6 +71,8 @@ class Survey:
         state: that state.
         slow: shape (rows, columns, 3), slow deviation from it in code units, in squares of ``BLOCK`` coarse pixels.
         shift: (x, y) by which the picture lies elsewhere, coarse pixels.
+        flat: shape of ``coarse`` with three channels, code units: how it differs from the state, free of ``slow`` and
+            of ``shift``.
         even: shape (256,), factor on the evidence for each level of the empty setup's green.
         plant: shape of ``coarse``, 1 where a pixel looks like plant and hangs together with the anchor.
         around: the same shape, 1 in the surroundings of that.
@@ -84,6 +86,7 @@ class Survey:
     state: LampState
     slow: Float32Array
     shift: Float32Array
+    flat: Float32Array
     even: Float32Array
     plant: ByteArray
     around: ByteArray
@@ -157,7 +160,7 @@ class Surveyor:
         mask = (score > max(CLEAR * noise, LEAST_EVIDENCE)).view(np.uint8)
         plant, around = self._surroundings(mask)
         changed = _changed(flat, around)
-        return Survey(picture, coarse, number, empty.state, slow, shift, even, plant, around, changed, noise)
+        return Survey(picture, coarse, number, empty.state, slow, shift, flat, even, plant, around, changed, noise)
 
     def bounds(self, survey: Survey) -> tuple[slice, slice]:
         """Rows and columns of the full picture in which the plant and its surroundings lie; empty where it has none."""
