@@ -12,10 +12,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS, Obstacle
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def collides(points_cm: npt.ArrayLike, obstacle: Obstacle) -> bool:

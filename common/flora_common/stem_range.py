@@ -11,7 +11,8 @@ from typing import Annotated, Final
 
 import msgspec
 
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import polyline_length
 from flora_common.network_export import Strict
 from flora_common.runs import Cm
 

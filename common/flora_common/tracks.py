@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadRunFolder
-from flora_common.geometry import FloatArray
 from flora_common.runs import TRACK_HEADER, Light, finite_number, known_light, later_time, read_csv
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS
 

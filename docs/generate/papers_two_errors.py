@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.tracks import read_track
 from flora_lab.diagnose.diagnosis import Diagnosis
 from flora_lab.diagnose.inputs import read_runs

@@ -15,7 +15,8 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, clearance_cm
+from flora_common.arrays import FloatArray
+from flora_common.geometry import clearance_cm
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
 from flora_common.messages.envelope import LONGEST_SENTENCE, as_sentence

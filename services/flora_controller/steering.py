@@ -14,7 +14,8 @@ from typing import Annotated, Final, Protocol
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, clearance_cm, polyline_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import clearance_cm, polyline_length
 from flora_common.open_loop import OTHER, OpenLoopSection, Side, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from flora_common import geometry
+from flora_common.arrays import FloatArray
 from flora_common.experiment_file import Ended
-from flora_common.geometry import FloatArray
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.shapes import Obstacle, Target
 

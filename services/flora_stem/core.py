@@ -11,8 +11,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadPicture, FloraError
-from flora_common.geometry import FloatArray
 from flora_common.messages import Frame, FrameMissed, Stem
 from flora_common.messages.envelope import as_sentence
 from flora_common.runs import Light

@@ -9,8 +9,9 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.files import last_lines, write_bytes
-from flora_common.geometry import FloatArray, polyline_length, to_px
+from flora_common.geometry import polyline_length, to_px
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 
 

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray, resample_by_height
+from flora_common.geometry import resample_by_height
 from flora_common.runs import LEVELS, LIGHTS, Light
 from flora_common.shapes import STEM_POINTS
 from flora_common.suggest import did_you_mean

@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import FRAMES_HEADER, LEVELS, LIGHTS, Light, RunFolder, run_file_text, track_text
 from flora_twin.box import CAMERA, PinholeCamera
 from flora_twin.grow import FRAME_S

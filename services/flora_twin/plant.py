@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_twin.box import BOX, Box
 from flora_twin.parameters import NAMES, PlantParameters, draw_individual
 

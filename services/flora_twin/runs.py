@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import LEVELS, Light, RunFile, TargetSection, run_file_text, track_text
 from flora_common.tracks import Track
 from flora_twin.box import camera_section

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray, resample_by_height
+from flora_common.geometry import resample_by_height
 from flora_common.runs import CameraSection, Light
 from flora_common.shapes import STEM_POINTS
 from flora_twin import faults as menu

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_twin.render import Exposure, Lighting, Studio
 from flora_twin.strips import OFF, LampLight, strip_bytes
 from flora_twin.world import World

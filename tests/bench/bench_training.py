@@ -38,10 +38,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from flora_common.arrays import Float32Array
 from flora_lab.dataset.build import build
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe
 from flora_lab.run_tracks import RunTrack, load_runs
-from flora_lab.simulator.lstm_cell import Float32Array
 from flora_lab.simulator.measured import in_steps
 from flora_lab.simulator.paper import CELLS, PaperNetwork
 from flora_lab.train import fused_step, torch_reference

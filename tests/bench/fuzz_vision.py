@@ -40,9 +40,9 @@ from rich.table import Table  # noqa: E402
 from drawings.damage import AFTER_CAPTURE, KINDS, Damaged, damaged  # noqa: E402
 from drawings.good import Good  # noqa: E402
 from drawings.run import make_world  # noqa: E402
+from flora_common.arrays import FloatArray  # noqa: E402
 from flora_common.errors import BadPicture  # noqa: E402
 from flora_common.files import sha256_of_bytes  # noqa: E402
-from flora_common.geometry import FloatArray  # noqa: E402
 from flora_common.runs import LIGHTS  # noqa: E402
 from flora_common.vision.lamp_states import from_background  # noqa: E402
 from flora_common.vision.path.memory import Memory  # noqa: E402

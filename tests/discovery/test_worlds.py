@@ -21,8 +21,9 @@ from discovery.worlds.record import recorded
 from discovery.worlds.scene import ROW_S, Scene
 from discovery.worlds.schedules import draw_schedule
 from discovery.worlds.writing import write_case
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray, resample_by_height
+from flora_common.geometry import resample_by_height
 from flora_common.runs import RunFolder
 from flora_common.tracks import Track, read_track
 

@@ -13,7 +13,7 @@ from drawings.plant import Plant, extent_cm
 from drawings.scene import Scene, Source
 from drawings.stem import Canvas, ToPx
 from drawings.textures import Picture, Rng
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 
 SHAKE_PX = 0.15

@@ -13,7 +13,7 @@ from drawings.good import Good, decoded, goods, stem_share
 from drawings.intruders import another_plant, fog, hand, something_else
 from drawings.run import drawn_run
 from drawings.textures import Rng
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 QUALITY: Final = (cv2.IMWRITE_JPEG_QUALITY, 88)
 END_MARK: Final = b"\xff\xd9"

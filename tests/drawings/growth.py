@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 
 STEP_S = 300.0

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from drawings.growth import Posture
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 HIDDEN_CM = 2.5
 """No leaf may hide more of the stem than this in one place."""

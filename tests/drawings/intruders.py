@@ -11,7 +11,7 @@ from drawings.growth import Growth, light_schedule
 from drawings.plant import Plant, extent_cm
 from drawings.stem import Canvas, Lit, ToPx
 from drawings.textures import Rng, bgr, cloud
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from drawings.stem import Canvas, Lit
 from drawings.textures import Picture, Rng
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 SHAPES: Final = ("ellipse", "ovate", "lobed", "arrow", "lens", "strap", "seed leaf")
 

@@ -12,7 +12,7 @@ from drawings.hiding import fair, inside
 from drawings.leaves import SHAPES, Blade, draw_blade, grow_blade, place, vein_lines
 from drawings.stem import Canvas, Lit, ToPx, draw_strip
 from drawings.textures import Picture, Rng, bgr
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from drawings.textures import Picture
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

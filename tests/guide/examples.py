@@ -8,10 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from drawings.run import make_world
 from flora_common import files
+from flora_common.arrays import ByteArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.evidence import PlantFinder
@@ -20,7 +20,6 @@ from guide.canvas import PX_PER_CM, Floats
 from truth_run import TruthFrame, twin_run
 
 HOURS = 72.0
-Bytes = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +32,8 @@ class Example:
         line: shape (n, 2), the true stem, anchor first, apex last, (x, y) px.
     """
 
-    plant: Bytes
-    code: Bytes
+    plant: ByteArray
+    code: ByteArray
     line: Floats
 
 
@@ -89,6 +88,6 @@ def read_examples(path: Path) -> list[Example]:
         ]
 
 
-def _decoded(jpegs: Sequence[bytes]) -> Iterator[Bytes]:
+def _decoded(jpegs: Sequence[bytes]) -> Iterator[ByteArray]:
     for jpeg in jpegs:
         yield np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)

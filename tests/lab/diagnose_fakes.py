@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.hypothesis import Hypothesis
@@ -19,7 +18,6 @@ from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 
-Array = npt.NDArray[Any]
 LAW = ExtendedLaw(LampsSection())
 STEP_S = 300.0
 BASE = Base(

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from noise_courses import first_order
 
+from flora_common.arrays import Array
 from flora_common.runs import LEVELS, LampsSection, Light, track_text
 from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.joint import Base
@@ -24,7 +24,6 @@ from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
 
-Array = npt.NDArray[Any]
 Effects = Mapping[str, Mapping[str, float]]
 """Name of an effect to its parameters."""
 

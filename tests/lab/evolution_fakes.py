@@ -16,9 +16,9 @@ from neat.aggregations import AggregationFunctionSet
 from neat.nn import FeedForwardNetwork
 from simulator_fakes import StraightPlant
 
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import LoadedController
 from flora_common.files import sha256_of_bytes
-from flora_common.geometry import FloatArray
 from flora_common.toml_strict import to_toml
 from flora_lab.evolve import evolution_folder as folder
 from flora_lab.evolve.controllers import FromFile

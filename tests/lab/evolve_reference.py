@@ -15,8 +15,8 @@ from neat.activations import ActivationFunctionSet
 from neat.aggregations import AggregationFunctionSet
 from neat.nn import FeedForwardNetwork
 
+from flora_common.arrays import Array, FloatArray
 from flora_common.controller_file import LoadedController, parse_controller
-from flora_common.geometry import FloatArray
 from flora_common.network import MAX_NUMBER, NotFinite
 from flora_common.shapes import Obstacle, Target
 from flora_lab.evolve.controllers import Controller, controller_bytes, export_of
@@ -26,8 +26,6 @@ from flora_lab.evolve.genome_arrays import GenomeArrays
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 OUTCOMES: Final = ("fitness", "reason", "steps", "tip_cm", "is_right")
 """The arrays of :class:`flora_lab.evolve.episode.Outcomes`."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = Any
+from flora_common.arrays import Array
 
 
 def first_order(rng: np.random.Generator, steps: int, keep: float) -> Array:

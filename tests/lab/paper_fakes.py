@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from evolution_fakes import Fake, read_fake
 
+from flora_common.arrays import FloatArray
 from flora_common.experiment_file import FORMAT, Controller, ExperimentFile, Measured, Pictures, Really
-from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, Light, ObstacleSection, RunFile, TargetSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.tracks import Track

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from noise_courses import first_order
 
+from flora_common.arrays import Array
 from flora_lab.rhythm.tip_track import TipTrack
-
-Array = Any
 
 
 def forgetting(rng: np.random.Generator, steps: int, memory: float) -> Array:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.interface import Chance, History, Simulator, run
 from flora_lab.simulator.measured import MeasuredRun, side_by_side

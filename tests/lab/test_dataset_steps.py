@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.tracks import Track
 from flora_lab.dataset.generic import roughness, smoothest, translated, translations, windows
 from flora_lab.dataset.loading import measured

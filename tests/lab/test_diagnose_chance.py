@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
 from diagnose_runs import TYPICAL, red_noise, scene_of
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.chance import GAPS, MEASURED, PARTS, covariances, of_swing, sizes_expected
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import FEATURES, Lanes, Scene
 from flora_lab.effects.effect import Change
 
-Array = Any
 NAMES = [part.name for part in PARTS]
 DRIVES = ("bias", "gradient", "growth", "gain", *MEASURED)
 GROUPS = {drive: [i for i, part in enumerate(PARTS) if part.drive == drive] for drive in DRIVES}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.first_stem import first_stem
 
-Array = Any
 ALONG = np.linspace(0.0, 1.0, 10)
 NOISE_CM = 0.05
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from diagnose_runs import known, scenes_of
 from evolve_simulators import mechanistic
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import boosting, light_plans
 from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
 from flora_lab.diagnose.diagnosis import Gain
@@ -33,7 +33,6 @@ from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.shape import can_start
 from flora_lab.simulator.store import Extension
 
-Array = Any
 DRAUGHT = {"draught": {"drive_per_cm_h": 0.12}}
 MEASURED, HELD_OUT = (30, 31, 32), (40, 41)
 

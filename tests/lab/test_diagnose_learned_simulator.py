@@ -10,7 +10,7 @@ import pytest
 from diagnose_runs import LAMPS, QUIET, TYPICAL, base, run_of, turns
 from simulator_fakes import straight_run, write_straight
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.diagnose import emulated, stored_base
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.learned_simulator import faults_of

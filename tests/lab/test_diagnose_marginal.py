@@ -12,6 +12,7 @@ import pytest
 import scipy.optimize
 from diagnose_runs import SPREAD, TYPICAL, base, scene_of
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.chance import MEASURED, PARTS, covariances, sizes_expected
 from flora_lab.diagnose.joint import Joint, ready
 from flora_lab.diagnose.marginal import Linear, evidence, sizes_and_spread, typical
@@ -19,7 +20,6 @@ from flora_lab.diagnose.scene import START_SD
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
 
-Array = Any
 DRIVES = ("bias", "gradient", "growth", "gain", *MEASURED)
 GROUPS = {drive: [i for i, part in enumerate(PARTS) if part.drive == drive] for drive in DRIVES}
 KNOWN = prior_mean(), np.diag(prior_doubt() ** 2)

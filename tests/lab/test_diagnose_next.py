@@ -6,7 +6,6 @@ import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from diagnose_runs import LAW, STEP_S, change_of, known, run_of, scenes_of, turn
 
 from discovery.worlds.case import draw_case
 from discovery.worlds.writing import write_case
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.open_loop import open_loop_side
 from flora_common.runs import LEVELS
@@ -46,7 +46,6 @@ from flora_lab.run_tracks import load_run
 from flora_lab.simulator.measured import in_steps
 from flora_twin.grow import parse_schedule
 
-Array = Any
 STEPS_H = STEP_S / 3600.0
 
 

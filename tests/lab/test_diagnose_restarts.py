@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnose_runs import LAMPS, LAW, TYPICAL, Array, known, run_of, turns, write_run
+from diagnose_runs import LAMPS, LAW, TYPICAL, known, run_of, turns, write_run
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import verdict
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.record import without

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from diagnose_runs import red_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.explanation import CLAIM
 from flora_lab.diagnose.rhythm import (
     BAND_H,
@@ -24,7 +24,6 @@ from flora_lab.diagnose.rhythm import (
     usual,
 )
 
-Array = Any
 STEP_H = 1 / 12
 STEPS = 48 * 12
 NOISE_SEEDS = range(1000, 1009)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import pytest
 from diagnose_runs import base, known, scene_of, scenes_of, stem, still, turns
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
 from flora_lab.diagnose.explain import Explainer
@@ -24,7 +24,6 @@ from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
 from flora_lab.threads import one_blas_thread
 
-Array = Any
 HOURS = 48.0
 HIDDEN: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
     "by day": {"gain": lambda hour: 0.7 * np.cos(2.0 * np.pi * (hour - 7.0) / 24.0)},

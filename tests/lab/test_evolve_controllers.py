@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from evolve_genomes import INPUTS as INPUT_COUNT
 from evolve_genomes import random_networks
 from evolve_reference import Fed, asked_as_neat_does, controller_of, neat_network
 from neat.export import export_network_json
 
+from flora_common.arrays import Array
 from flora_common.controller_file import INPUT_NAMES, LoadedController, parse_controller
 from flora_common.errors import BadController
 from flora_common.network import NotFinite
@@ -30,7 +30,6 @@ from flora_lab.evolve.controllers import (
 )
 from flora_lab.evolve.task import LEFT, MIDDLE, Scenario, Task
 
-Array = npt.NDArray[Any]
 TARGET, OBSTACLE = LEFT.scenarios[1].target, LEFT.scenarios[1].obstacle
 
 

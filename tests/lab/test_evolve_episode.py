@@ -14,9 +14,9 @@ from evolve_reference import asked_as_neat_does, controller_of, run_episodes
 from simulator_fakes import GROWTH_CM_H, LEAN_CM_H, Straight, StraightPlant
 
 from flora_common import geometry
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import OUTPUT_RULE
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.network import NotFinite
 from flora_common.runs import LampsSection
 from flora_common.shapes import Obstacle, Target

@@ -13,8 +13,8 @@ from evolve_reference import OUTCOMES, controller_of, run_episodes
 from evolve_simulators import learned
 from neat.nn import FeedForwardNetwork
 
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import load_controller
-from flora_common.geometry import FloatArray
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.evaluate import evaluate
 from flora_lab.evolve.evolution_folder import read_evolution

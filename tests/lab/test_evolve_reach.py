@@ -12,8 +12,8 @@ from evolve_reference import controller_of
 from evolve_simulators import learned, mechanistic, paper
 from simulator_fakes import GROWTH_CM_H, LEAN_CM_H, Straight, StraightPlant
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.individuals import Individuals

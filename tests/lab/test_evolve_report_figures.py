@@ -13,8 +13,8 @@ from evolution_fakes import FAST, Fake, history, layered, read_fake, renamed
 from evolve_reference import controller_of
 from PIL import Image
 
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import LoadedController, load_controller
-from flora_common.geometry import FloatArray
 from flora_lab.evolve.episode import run_episode
 from flora_lab.evolve.evolution_folder import EpisodeTrack
 from flora_lab.evolve.task import LEFT, MIDDLE, Scenario, Task

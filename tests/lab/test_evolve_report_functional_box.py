@@ -9,7 +9,7 @@ import pytest
 from evolution_fakes import stepwise
 from statsmodels.graphics.functional import banddepth
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.evolve_report.functional_box import band_depth, functional_box
 
 

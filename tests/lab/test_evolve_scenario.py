@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
-import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from flora_common import geometry
+from flora_common.arrays import Array
 from flora_common.shapes import Obstacle, Target
 from flora_lab.evolve import scenario_batch
 from flora_lab.evolve.scenario_batch import arrays_of, collide, collides_lane, fitness_lane
 from flora_lab.evolve.task import LEFT, MIDDLE
-
-Array = npt.NDArray[Any]
 
 # Few values beside many: edges that meet exactly, upright and level segments and points that coincide are common.
 PLACES = st.one_of(st.sampled_from([0.0, -3.5, 3.5, 7.3, 8.8, 10.3, 1e-12]), st.floats(-25.0, 25.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_lab.judging import judge, reason
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulator_fakes import ALONG, GROWTH_CM_H, LEAN_CM_H, StraightPlant, straight_run
 
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import polyline_length
 from flora_lab.rollout.free_running import (
     NO_START,
     Judged,

@@ -9,7 +9,7 @@ import pytest
 from simulator_contract import check_contract
 from simulator_fakes import Straight, StraightPlant, straight_run
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import LampsSection
 from flora_lab.rollout.at_time_scale import AtTimeScale
 from flora_lab.rollout.predictors import GoesOn, NothingMoves

@@ -14,6 +14,7 @@ from evolve_simulators import paper
 from simulator_contract import LEFT, RIGHT, check_contract
 from simulator_fakes import upright
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.run_tracks import RunTrack
@@ -32,7 +33,6 @@ from flora_lab.simulator.store import Extension, Provenance, write_simulator
 from flora_lab.simulator.tropism_traits import prior_mean, prior_spread
 from flora_twin.runs import dataset_runs
 
-Array = Any
 SHOWN = DataRange(20.0, 6.0)
 CALM = DriveNoise(wander_per_cm_h=2e-3, nutation_per_cm_h=5e-3)
 GROWTH = Extension("growth_rate", {"factor": 1.5})

@@ -13,6 +13,7 @@ import tomli_w
 from simulator_contract import LEFT, RIGHT, check_contract
 from simulator_fakes import upright
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -30,7 +31,6 @@ from flora_lab.simulator.tropism import TropismLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_twin.runs import dataset_runs
 
-Array = Any
 DARK = (0.0, 0.0)
 USUAL_C = 22.0
 OF_PLANTS = [effect.name for effect in CATALOGUE if effect.forms and effect.where in {"plant", "simulator"}]

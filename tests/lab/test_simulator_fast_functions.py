@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, fast_sincos
 from flora_lab.simulator.fast_lstm import MOST_CELLS, lstm_step
@@ -23,8 +24,6 @@ from flora_lab.simulator.fast_scratch import row_of, scratch
 from flora_lab.simulator.lstm_cell import LstmCell, LstmState
 from flora_lab.simulator.lstm_rows import SAID, RowWeights, lined_up, lstm_rows, row_weights
 from flora_lab.simulator.neural_law import INPUTS, OUTPUTS, WEIGHTS, NeuralLaw, weight_shapes
-
-Array = npt.NDArray[Any]
 
 jit = numba.njit(error_model="numpy")
 on_x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="names x86 processors and their instructions")

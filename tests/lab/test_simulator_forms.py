@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator import terms
 from flora_lab.simulator.law import standing
@@ -15,7 +14,6 @@ from flora_lab.simulator.terms import NEUTRAL, Driven, ExtendedLaw, Seen
 from flora_lab.simulator.tropism import LIGHT_HALF, MATURE, MATURE_EDGE_CM, STIFFENING, TropismLaw
 from flora_lab.simulator.tropism_traits import prior_mean
 
-Array = Any
 STEP_H = 1.0 / 12.0
 DARK, RIGHT = (0.0, 0.0), (0.0, 1.0)
 LAW = ExtendedLaw(LampsSection())

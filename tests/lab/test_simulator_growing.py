@@ -12,11 +12,11 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 from simulator_contract import LEFT, RIGHT, check_contract
 from simulator_fakes import upright
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.run_tracks import RunTrack
@@ -32,8 +32,6 @@ from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import Provenance, write_simulator
 from flora_lab.simulator.tropism_traits import prior_mean, prior_spread
 from flora_twin.runs import dataset_runs
-
-Array = npt.NDArray[Any]
 
 Make = Callable[[], GrowingSimulator]
 COUNT = len(TRAITS)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 from simulator_contract import LEFT, RIGHT
 from simulator_fakes import upright
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator.drives import BLOCK, DriveNoise, Drives
 from flora_lab.simulator.growing import DataRange, GrowingSimulator
@@ -26,7 +25,6 @@ from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 
 numba.set_num_threads(1)
 
-Array = npt.NDArray[Any]
 Make = Callable[[], GrowingSimulator]
 
 PRIOR = Prior(prior_mean(), prior_spread())

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.runs import LEVELS, LampsSection, Light
 from flora_common.tracks import Track
 from flora_lab.run_tracks import RunTrack

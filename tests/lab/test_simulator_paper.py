@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulator_contract import LEFT, RIGHT, check_contract
 
+from flora_common.arrays import Float32Array
 from flora_common.errors import BadInput
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.interface import History, run
 from flora_lab.simulator.load import load
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell, rows_times
+from flora_lab.simulator.lstm_cell import Dense, LstmCell, rows_times
 from flora_lab.simulator.measured import MeasuredRun, in_steps
 from flora_lab.simulator.paper import Box, PaperNetwork, PaperSimulator
 from flora_lab.simulator.store import INFO_FILE, WEIGHTS_FILE, Provenance, Stored, read_stored, write_simulator

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from flora_common.arrays import Array
 from flora_common.geometry import resample_by_height
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems, advanced, standing
@@ -23,7 +22,6 @@ from flora_twin.runs import dataset_runs
 
 numba.set_num_threads(1)
 
-Array = npt.NDArray[Any]
 
 STEP_H = 1.0 / 12.0
 LAMPS = LampsSection(35.0, 30.0)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.rod import CAPACITY, jit
@@ -15,7 +14,6 @@ from flora_lab.simulator.terms import NEUTRAL, PUSH, SAG, Driven, ExtendedLaw, S
 from flora_lab.simulator.terms import SETTLING_H as SETTLING_TERM
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean
 
-Array = Any
 STEP_H = 1.0 / 12.0
 LAW = ExtendedLaw(LampsSection())
 

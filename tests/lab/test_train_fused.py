@@ -14,8 +14,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flora_common.arrays import Float32Array
 from flora_lab.simulator.fast_tanh import fast_tanh
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell
+from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, PaperNetwork
 from flora_lab.train import fused_step, torch_reference
 from flora_lab.train.fused_step import Training

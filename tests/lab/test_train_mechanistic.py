@@ -9,11 +9,9 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 from simulator_fakes import write_track
 
@@ -36,7 +34,6 @@ from flora_lab.train.recipes import TrainOptions
 
 numba.set_num_threads(1)
 
-Array = npt.NDArray[Any]
 
 STEP_S = 300.0
 LAMPS = LampsSection(35.0, 30.0)

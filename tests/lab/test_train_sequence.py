@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from simulator_fakes import write_track
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import CameraSection, RunFile, run_file_text
 from flora_lab.main import main
@@ -39,7 +38,6 @@ from flora_twin.runs import dataset_runs
 torch.set_num_threads(1)
 numba.set_num_threads(1)
 
-Array = npt.NDArray[Any]
 
 SMALL = SequenceSettings(members=2, hidden=8, steps=24, windows=8, rate=8e-3, epochs=4, patience=50)
 

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.picture import Picture
 from flora_common.vision.reading import StemReading

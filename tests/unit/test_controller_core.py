@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import LoadedController, load_controller
-from flora_common.geometry import FloatArray
 from flora_common.messages import LightCommand, Stem
 from flora_common.messages.catalogue import Outcome
 from flora_common.network import Network

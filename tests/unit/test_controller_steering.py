@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, clearance_cm, collides
+from flora_common.arrays import FloatArray
+from flora_common.geometry import clearance_cm, collides
 from flora_common.open_loop import OpenLoopSection
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target

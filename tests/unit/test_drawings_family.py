@@ -17,7 +17,8 @@ from drawings.hiding import HIDDEN_CM, TIP_HIDDEN_CM, inside
 from drawings.leaves import SHAPES
 from drawings.stem import Canvas, Lit, draw_strip
 from drawings.textures import BOARDS
-from flora_common.geometry import FloatArray, distance_to_polyline_cm
+from flora_common.arrays import FloatArray
+from flora_common.geometry import distance_to_polyline_cm
 from flora_common.runs import LIGHTS
 
 SMALL = 410, 308

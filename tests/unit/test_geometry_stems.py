@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from flora_common.arrays import FloatArray
 from flora_common.geometry import (
-    FloatArray,
     clearance_cm,
     collides,
     distance_to_polyline_cm,

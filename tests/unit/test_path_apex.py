@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path import apex, nearby
 from flora_common.vision.path.apex import Apex, Followed, apex_at, drawn_to
 from flora_common.vision.path.evidence import Evidence

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, STEM, WIDTH, drawn, tip_error_mm
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import best_chain
 from flora_common.vision.path.sampler import Sampler

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.forks import doubted_for, petiole_from

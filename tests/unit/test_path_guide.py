@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path import along_way, convolutions, guide
 from flora_common.vision.path.convolutions import EXACT, HEAD, LAYERS, MOST, Layer, Network, convolved
 from flora_common.vision.path.evidence import Evidence

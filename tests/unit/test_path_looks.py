@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, drawn, tip_error_mm
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import along_line

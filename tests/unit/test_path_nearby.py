@@ -10,7 +10,7 @@ import pytest
 from path_fakes import ANCHOR, CAMERA, SCALE, tip_error_mm
 
 from bench.vision.figures import line_distances_mm
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path import nearby
 from flora_common.vision.path.chain import Before

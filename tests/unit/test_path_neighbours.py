@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.path.neighbours import another_stem, goes_over
 from flora_common.vision.path.strands import End, Strand

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, arc_length, distance_to_polyline_cm
+from flora_common.arrays import FloatArray
+from flora_common.geometry import arc_length, distance_to_polyline_cm
 from flora_common.runs import CameraSection
 from flora_common.vision.path import curve
 from flora_common.vision.path.chain import Before, best_chain

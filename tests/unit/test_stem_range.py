@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import polyline_length
 from flora_common.stem_range import StemRange, range_of
 
 MET = StemRange(left_cm=-8.0, right_cm=9.0, lowest_tip_cm=6.0, highest_tip_cm=21.0, shortest_cm=6.5, longest_cm=24.0)

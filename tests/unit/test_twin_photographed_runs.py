@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
 from flora_common.files import TEMPORARY_SUFFIX
-from flora_common.geometry import FloatArray
 from flora_common.lock import hold
 from flora_common.runs import LIGHTS, RunFolder
 from flora_common.tracks import read_track

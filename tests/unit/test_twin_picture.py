@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_twin.box import CAMERA, camera_section
 from flora_twin.parameters import NAMES, draw_individual
 from flora_twin.render import Exposure, Lighting, Studio, Subject

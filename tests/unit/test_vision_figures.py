@@ -18,7 +18,7 @@ from bench.vision.figures import (
     run_scores,
     sampled,
 )
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 UPRIGHT = np.array([[0.0, 0.0], [0.0, 10.0]])
 

@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Int16Array
 from flora_common.errors import BadPicture
 from flora_common.vision.picture import Picture, checked_array
 
 MadeBy = Literal["background", "frames"]
-Int16Array = npt.NDArray[np.int16]
 
 DARK_LEVEL: Final = 12.0
 """Level (of 255) below which the code turns linear: noise in the dark would otherwise look like contrast."""

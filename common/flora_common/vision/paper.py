@@ -31,15 +31,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import BoolArray, FloatArray
 from flora_common.errors import BadInput, BadPicture
-from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, Px
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.picture import Picture, Reduction, checked_array, reduced_size
 from flora_common.vision.reading import JUMPED, OK, TOUCHES_EDGE, PictureOutcome, StemReading, no_stem
 from flora_common.vision.setup import SetupMatrices, green
-
-Mask = npt.NDArray[np.bool_]
 
 # Green values are whole 255ths held as float32: 51/255 against theta_1 = 0.2 must come out as a tie, not by rounding.
 _TIE: Final = 1e-6
@@ -109,7 +107,7 @@ class PaperTracker:
             )
         self.setup = setup
 
-    def stem_mask(self, picture: Picture) -> Mask:
+    def stem_mask(self, picture: Picture) -> BoolArray:
         """The set P as a mask over the reduced picture, window and component guard applied.
 
         Raises:
@@ -193,18 +191,18 @@ class PaperTracker:
 
 def outside_setup(
     R: npt.NDArray[np.float32], L: npt.NDArray[np.float32], H: npt.NDArray[np.float32], theta_1: float
-) -> Mask:
+) -> BoolArray:
     """Where (R < L - theta_1) or (R > H + theta_1), all in [0, 1]; on the limit itself is not outside."""
-    outside: Mask = (L - (theta_1 + _TIE) > R) | (H + (theta_1 + _TIE) < R)
+    outside: BoolArray = (L - (theta_1 + _TIE) > R) | (H + (theta_1 + _TIE) < R)
     return outside
 
 
-def drop_small_components(mask: Mask, smallest_px: int) -> Mask:
+def drop_small_components(mask: BoolArray, smallest_px: int) -> BoolArray:
     """The mask without its 8-connected groups of fewer than ``smallest_px`` pixels."""
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     keep = statistics[:, cv2.CC_STAT_AREA] >= smallest_px
     keep[0] = False  # label 0 is everything that is not stem
-    kept: Mask = keep[labels]
+    kept: BoolArray = keep[labels]
     return kept
 
 
@@ -225,7 +223,7 @@ def choose_tip(
 
 def ten_points(
     x: FloatArray, y: FloatArray, anchor: tuple[float, float], tip: tuple[float, float], theta_2: float
-) -> tuple[FloatArray, Mask]:
+) -> tuple[FloatArray, BoolArray]:
     """The stem description S before smoothing.
 
     Args:
@@ -241,7 +239,7 @@ def ten_points(
     near = np.abs(y[None, :] - height[:, None]) < theta_2
     count = near.sum(axis=1)
     mean_x: FloatArray = np.asarray(near @ x, dtype=np.float64) / np.maximum(count, 1)
-    seen: Mask = count > 0
+    seen: BoolArray = count > 0
     mean_x[0], mean_x[-1] = anchor[0], tip[0]
     known = seen.copy()
     known[0] = known[-1] = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 PictureOutcome = Literal["ok", "no_stem", "jumped", "occluded", "touches_edge", "bad_picture"]
 """What can come of a picture; the bus has the same names, and one more for a tick without a picture."""

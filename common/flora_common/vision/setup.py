@@ -19,11 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common import files
+from flora_common.arrays import Float32Array
 from flora_common.errors import BadInput, BadPicture
 from flora_common.vision.lamp_states import MadeBy
 from flora_common.vision.picture import Picture, Reduction, checked_array, decode_picture, read_picture_bytes
-
-Float32Array = npt.NDArray[np.float32]
 
 _FORMAT: Final = 1
 

@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_lab.dataset.recipe import GenericSettings
-from flora_lab.dataset.stems import BoolArray, Stems
+from flora_lab.dataset.stems import Stems
 
 
 def translations(exponents: tuple[int, ...], unit_cm: float) -> FloatArray:

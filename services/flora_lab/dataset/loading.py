@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from flora_common.arrays import BoolArray
 from flora_common.errors import BadInput
-from flora_lab.dataset.stems import LEFT, RIGHT, BoolArray, Stems, joined
+from flora_lab.dataset.stems import LEFT, RIGHT, Stems, joined
 from flora_lab.run_tracks import RunTrack
 
 CONDITIONS: Final = {"left": LEFT, "right": RIGHT}

@@ -18,15 +18,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.dataset.recipe import NoiseMean, NoiseSettings
-from flora_lab.dataset.stems import IntArray, Stems
+from flora_lab.dataset.stems import Int32Array, Stems
 
 _BLOCK_CELLS: Final = 8_000_000
 """Distances that are held at a time: 64 MB."""
 
 
-def local_statistics(tips_cm: FloatArray, light: IntArray, theta_3: int) -> tuple[FloatArray, FloatArray]:
+def local_statistics(tips_cm: FloatArray, light: Int32Array, theta_3: int) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the tips nearest to each tip under the same light (eqs. 9 to 11).
 
     Args:

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
-from flora_lab.dataset.stems import LEFT, POINTS, RIGHT, BoolArray, IntArray, Stems
+from flora_common.arrays import BoolArray, Float32Array, FloatArray
+from flora_lab.dataset.stems import LEFT, POINTS, RIGHT, Int32Array, Stems
 
 COORDINATES: Final = 2 * POINTS
-Float32Array = npt.NDArray[np.float32]
 
 
 def mirrored(stems: Stems) -> Stems:
@@ -46,9 +44,9 @@ class Pairs:
 
     inputs: Float32Array
     outputs: Float32Array
-    run: IntArray
-    row: IntArray
-    sequence: IntArray
+    run: Int32Array
+    row: Int32Array
+    sequence: Int32Array
     mirrored: BoolArray
 
     def __len__(self) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from flora_common.arrays import BoolArray
 from flora_lab.dataset.recipe import SparseSettings
-from flora_lab.dataset.stems import BoolArray, Stems
+from flora_lab.dataset.stems import Stems
 
 
 def in_dense_areas(stems: Stems, settings: SparseSettings) -> BoolArray:

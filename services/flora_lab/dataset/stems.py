@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 
 POINTS: Final = 9
 """Points of a vector psi: point 2 to the tip. The anchor is always (0, 0) and left out."""
@@ -17,8 +17,7 @@ LEFT: Final = 0
 RIGHT: Final = 1
 """The Boolean light condition b. The controllers' output has the same order: up to 0.5 is left, above is right."""
 
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
+Int32Array = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +35,11 @@ class Stems:
     """
 
     points_cm: FloatArray
-    light: IntArray
-    run: IntArray
-    row: IntArray
-    segment: IntArray
-    sequence: IntArray
+    light: Int32Array
+    run: Int32Array
+    row: Int32Array
+    segment: Int32Array
+    sequence: Int32Array
     mirrored: BoolArray
 
     def __len__(self) -> int:

@@ -10,18 +10,16 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
+from flora_common.arrays import Array
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.replayed import Replayed
 from flora_lab.diagnose.scene import Scene
 from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
 from flora_lab.simulator.terms import Seen, undriven
-
-Array = npt.NDArray[Any]
 
 LEARNED: Final = ((9, 0), (9, 1), (6, 0), (3, 0))
 """Point and axis of the residuals that are learned; those of the points between lie between."""

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import FEATURES, WINDOW_H, Answers, Scene
 from flora_lab.simulator.drives import DAY_H, REFERENCE_CM
 from flora_lab.simulator.measured import STEP_S
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import light_plans
 from flora_lab.diagnose.diagnosis import SURE_ERRORS
 from flora_lab.evolve.controllers import INPUTS
@@ -28,7 +28,6 @@ from flora_lab.evolve.neat_settings import load_settings
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 
-Array = npt.NDArray[Any]
 Kind = Literal["feedback", "plan"]
 
 SHORT_LIST: Final = 10

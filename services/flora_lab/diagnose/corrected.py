@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.geometry import resample_by_height
 from flora_common.runs import LIGHTS, Light, track_text
 from flora_common.shapes import STEM_POINTS
@@ -15,8 +15,6 @@ from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.joint import Found
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import RunTrack
-
-Array = npt.NDArray[Any]
 
 OF_THE_RECORD: Final = ("camera", "clock")
 

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.drives import DAY_H
 
 if TYPE_CHECKING:
     from flora_lab.diagnose.scene import Scene
 
-Array = npt.NDArray[Any]
 
 _OFF_CM: Final = 3.0
 _LEAN_CM: Final = 5.0

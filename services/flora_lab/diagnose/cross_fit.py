@@ -11,17 +11,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import learn
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.knowledge import LAW_ROUNDS, Knowledge, known_of, law_of, under
 from flora_lab.diagnose.scene import Scene
-
-Array = npt.NDArray[Any]
 
 FOLDS: Final = 3
 LEAST_RUNS: Final = 6

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import LEVELS, LampsSection
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.simulator import interface

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance, rhythm, search
 from flora_lab.diagnose.explanation import CLAIM, SWING, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
@@ -19,8 +19,6 @@ from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.diagnose.unnamed import Unnamed, unnamed
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
-
-Array = npt.NDArray[Any]
 
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
@@ -102,8 +100,8 @@ class Explainer:
             if best.swing is not None:
                 swing = best.swing
                 joint = self._joint(swing)
-                null = joint.fit(_side_by_side(alone), 12)
-                found = self._pruned(joint, joint.fit(_started(found), 12), accepted)
+                null = joint.fit(_side_by_side(alone))
+                found = self._pruned(joint, joint.fit(_started(found)), accepted)
             elif best.found is not None:
                 found = self._pruned(joint, best.found, accepted)
                 self._answer(found)
@@ -112,11 +110,11 @@ class Explainer:
                     swing = None
                     accepted[:] = [one for one in accepted if one.tried.swing is None]
                 joint = self._joint(swing)
-                found = joint.fit(_started(found), 12)
+                found = joint.fit(_started(found))
                 if not _is_worth_a_name(found):
                     # With what chance does about it, the last cause is next to nothing.
                     last = accepted.pop().tried.effect.name
-                    found = joint.fit(_without(found, last), 12)
+                    found = joint.fit(_without(found, last))
                     break
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
@@ -132,10 +130,10 @@ class Explainer:
         alone = self._all_alone()
         self._answer(_side_by_side(alone))
         joint = self._joint(None)
-        null = joint.fit(_side_by_side(alone), 12)
+        null = joint.fit(_side_by_side(alone))
         if self._is_much(null):
             # What is very wrong with the runs may have led each of them far astray.
-            null = max(null, joint.fit(joint.null(), 12), key=lambda fit: fit.evidence)
+            null = max(null, joint.fit(joint.null()), key=lambda fit: fit.evidence)
         return alone, joint, null
 
     def _settled(self, joint: Joint, before: Found, swing: Swing | None, restarts: int) -> Stage:
@@ -165,8 +163,11 @@ class Explainer:
         Beside causes with much evidence it may be too little to be told: then a cause is named nevertheless that has as
         much as it takes to be told without a name.
         """
-        is_told = stage.has_no_name(self._told_from(accepted), self.better)
-        return is_told or (stage.has_no_name(self.nameless, self.better) and stage.tried[0].gain < self.nameless)
+        is_told = self._has_no_name(stage, self._told_from(accepted))
+        return is_told or (self._has_no_name(stage) and stage.tried[0].gain < self.nameless)
+
+    def _has_no_name(self, stage: Stage, least: float | None = None) -> bool:
+        return stage.has_no_name(self.nameless if least is None else least, self.better)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -181,7 +182,7 @@ class Explainer:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
-            less = joint.fit(_without(found, name), 12)
+            less = joint.fit(_without(found, name))
             if found.evidence - less.evidence >= self.claim:
                 continue
             found = less
@@ -204,7 +205,7 @@ class Explainer:
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:
             # Only looked at linearly so far.
-            effect, fit = tried[0].effect, search.fitted(joint, before, tried[0].found, 12)
+            effect, fit = tried[0].effect, search.fitted(joint, before, tried[0].found)
             tried[0] = _tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
         beside: tuple[Joint, Found] | None = None
@@ -212,7 +213,7 @@ class Explainer:
             own = self._swing(before)
             if own.gain > 0.0 and own.swing is not None:
                 swinging = self._joint(own.swing)
-                beside = swinging, swinging.fit(_started(before), 12)
+                beside = swinging, swinging.fit(_started(before))
                 # A swing explains something of the hours' means, too, and a cause may make fast errors vanish.
                 slower = swinging.probability(beside[1]) - joint.probability(before)
                 faster = max(
@@ -221,12 +222,12 @@ class Explainer:
                 own = replace(own, gain=own.gain + max(0.0, slower))
                 tried.insert(0 if own.gain > faster else 1, own)
         found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
-        if beside is not None and found.tried[0].swing is not None and found.has_no_name(self.nameless, self.better):
+        if beside is not None and found.tried[0].swing is not None and self._has_no_name(found):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
             found = replace(found, unnamed=unnamed(*beside, self.scenes, self._answers))
         if swing is not None or before.hypothesis.causes:
             return found
-        if found.has_no_name(self.nameless, self.better):
+        if self._has_no_name(found):
             return self._again(joint, found, lambda one: one.misfit > before.misfit + 1.0)
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
@@ -280,7 +281,7 @@ class Explainer:
             return stage.before
         best = max(fits, key=lambda fit: fit.evidence)
         again = Found(stage.before.hypothesis, stage.before.coordinates.copy(), best.traits.copy(), best.start.copy())
-        return joint.fit(again, 12)
+        return joint.fit(again)
 
     def _may_be(self, effect: Effect) -> bool:
         return effect.name != "temperature_growth" or any(scene.has_temperature for scene in self.scenes)
@@ -292,16 +293,14 @@ class Explainer:
         for scene in self.scenes:
             parts = chance.covariances(scene, scene.answers(base.mean, Change()))
             joints.append(Joint([ready(scene, base, parts, together=0)], base))
-        fits = [joint.fit(joint.null(), 12) for joint in joints]
+        fits = [joint.fit(joint.null()) for joint in joints]
         usual = min(fit.misfit / scene.size for fit, scene in zip(fits, self.scenes, strict=True))
         out = []
         for joint, scene, fit in zip(joints, self.scenes, fits, strict=True):
             tried = [fit]
             if fit.misfit / scene.size > _BADLY * usual:
                 starts = [other for other in fits if other is not fit]
-                tried += [
-                    joint.fit(Found(Hypothesis(), np.zeros(0), o.traits.copy(), o.start * 0.0), 12) for o in starts
-                ]
+                tried += [joint.fit(Found(Hypothesis(), np.zeros(0), o.traits.copy(), o.start * 0.0)) for o in starts]
             out.append(min(tried, key=lambda one: one.misfit))
         return out
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES
 from flora_lab.diagnose.figure_parts import CHANCE, LAMP_TINTS, MEASURED, WIDE_IN, legend
@@ -18,8 +18,6 @@ from flora_lab.diagnose.replayed import MM
 from flora_lab.diagnose.residuals import FINE_BINS, FINE_H, SWING_PERIODS_H, ResidualTables
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.figure_style import BLUE, GREY, GRID, ORANGE, drawable, new_figure, png
-
-Array = npt.NDArray[Any]
 
 _LOWEST_NATS: Final = -6.0
 """Bars of causes that are worse than this end here."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.figure_parts import CHANCE, MEASURED, WIDE_IN, lamps, legend, side_of_lamp
 from flora_lab.diagnose.residuals import ResidualTables
 from flora_lab.figure_style import BLUE, ORANGE, drawable, new_figure, png
-
-Array = npt.NDArray[Any]
 
 MOST_RUNS: Final = 6
 STEM_HOURS: Final = (12.0, 24.0, 36.0, 48.0, 60.0, 72.0)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 from flora_lab.diagnose.figure_parts import MEASURED, WIDE_IN, legend
 from flora_lab.diagnose.replayed import Replayed

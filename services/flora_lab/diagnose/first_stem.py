@@ -7,12 +7,11 @@ that differs from the measured points by no more than they differ by themselves.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from flora_common.arrays import Array
 
 _ROWS: Final = 3
 """The curve is laid through the mean of so many at most."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import boosting
 from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, Gain
 from flora_lab.diagnose.explanation import Explanation
@@ -22,8 +22,6 @@ from flora_lab.diagnose.replayed import Replayed, replayed
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
-
-Array = npt.NDArray[Any]
 
 SIMULATORS: Final = ("base", "extended", "boosted", "still")
 POOLED: Final = "_rms"

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.effects.effect import Change, Effect, Parameter
 from flora_lab.simulator.tropism_traits import NAMES
-
-Array = npt.NDArray[Any]
 
 STEP_SPREAD: Final = 0.05
 """Of differences, in standard deviations of what is known before."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
@@ -17,8 +17,6 @@ from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.run_tracks import RunTrack, load_runs
 from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
-
-Array = npt.NDArray[Any]
 
 SHORTEST_H: Final = 6.0
 FEWEST_REFERENCES: Final = 3

@@ -9,21 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
 from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES
 
-Array = npt.NDArray[Any]
-
 TRAITS: Final = len(NAMES)
 _OWN: Final = TRAITS + len(START_SD)
+STEPS: Final = 12
+"""Of a fit that is to be as good as it gets, at most: it ends where one gains no more."""
 _STEP_SD: Final = 0.1
 """Of differences, in standard deviations of what is known before."""
 _FARTHEST_SD: Final = 7.0
@@ -161,7 +161,7 @@ class Joint:
         self._trait_precision = np.linalg.inv(together)
         self._trait_sd = np.sqrt(np.diag(base.spread + base.doubt))
 
-    def fit(self, start: Found, iterations: int) -> Found:
+    def fit(self, start: Found, iterations: int = STEPS) -> Found:
         """The most probable unknowns of a hypothesis, from a start on.
 
         Its evidence is minus infinity where no stem can be simulated there.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import learn, rhythm, usual_errors
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.learn import Learned
@@ -20,8 +20,6 @@ from flora_lab.effects.effect import Change
 from flora_lab.effects.law_forms import EVEN_LIGHT, SIDE_ALONE
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
-
-Array = npt.NDArray[Any]
 
 _STEPS: Final = 8
 _PARTS: Final = 6

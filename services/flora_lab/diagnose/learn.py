@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance, marginal
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.marginal import Linear
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.tropism_traits import NAMES, prior_doubt, prior_mean, prior_spread
-
-Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
 _FIRST_ITERATIONS: Final = 12
@@ -126,7 +124,7 @@ def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -
         best = fit
         if not is_near or not fit.misfit <= _FAR_WORSE * usual:
             joint = Joint([one], base)
-            again = joint.fit(replace(joint.null(), traits=middle[None]), 12)
+            again = joint.fit(replace(joint.null(), traits=middle[None]))
             best = again if again.misfit < fit.misfit else fit
         out.append(best)
     return out

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.rollout.intervals import LEVEL
@@ -25,8 +25,6 @@ from flora_lab.simulator.interface import History, Simulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.store import Stored
-
-Array = npt.NDArray[Any]
 
 _SEED: Final = 1
 _CLEAR: Final = 1.15

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.shapes import STEM_POINTS
 from flora_lab.evolve import scenario_batch
 from flora_lab.evolve.episode import COLLISION, HEIGHT, TIME, scored
@@ -20,8 +20,6 @@ from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 TURNS: Final = 14
 """Of a plan; the last one lasts for ever."""

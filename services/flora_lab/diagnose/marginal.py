@@ -9,19 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.chance import PARTS, sizes_expected
 from flora_lab.diagnose.joint import TRAITS
 from flora_lab.diagnose.scene import START_SD
 from flora_lab.simulator.tropism_traits import NAMES, prior_spread
-
-Array = npt.NDArray[Any]
 
 _RATES: Final = [NAMES.index(name) for name in ("growth_early_cm_per_day", "growth_late_cm_per_day")]
 _DIFFER: Final = 0.2

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, NamedCause
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.time_scale import best_time_scale
@@ -32,7 +31,6 @@ BASE, CLOCK, NO_MEMORY, MEMORY, STILL = "base", "clock", "clock and rest", "cloc
 """As it is; its clock set right; beside that a linear rest without traces; with them; and a stem that stays."""
 Maker = Callable[[Sequence[MeasuredRun]], Simulator[Any]]
 """Makes a simulator of what some runs tell."""
-BoolArray = npt.NDArray[np.bool_]
 _WINDOW_H: Final = 1.0
 _EVERY: Final = 3
 _SEED: Final = 1

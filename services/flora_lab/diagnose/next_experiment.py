@@ -12,12 +12,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
 from flora_lab.diagnose.explanation import CLAIM, Explanation
@@ -32,8 +32,6 @@ from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, is_same
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
-
-Array = npt.NDArray[Any]
 
 CLOSE_NATS: Final = 6.0
 """A cause whose evidence lies so near to that of the best one may still be the true one."""

@@ -6,14 +6,12 @@ A single tip that was taken for a leaf looks like the end of the world to a fit.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.measured import MeasuredRun
-
-Array = npt.NDArray[Any]
 
 GAP_H: Final = 0.5
 """A shorter gap is told by nobody."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.scene import Lanes, Scene, late_light
 from flora_lab.diagnose.virtual_plants import tips_between
@@ -16,7 +16,6 @@ from flora_lab.simulator.law import Stems, standing
 from flora_lab.simulator.shape import can_start, rods_through
 from flora_lab.simulator.terms import Seen, undriven
 
-Array = npt.NDArray[Any]
 Plant = Literal["typical", "own"]
 """The typical plant, or one with constants fitted to the very run that it is to follow."""
 PLANTS: Final[tuple[Plant, ...]] = ("typical", "own")

@@ -9,15 +9,14 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import rhythm
 from flora_lab.diagnose.replayed import MM, Plant, Replayed, length_cm
 
-Array = npt.NDArray[Any]
 Group = Literal["sideways", "growth", "lean", "height", "size", "swing"]
 
 SINCE_H: Final = (0.0, 1.0, 3.0, 6.0, math.inf)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.replayed import PLANTS, Plant, Replayed
 from flora_lab.diagnose.residual_statistics import SIDES, Comparison, Group, rms
 from flora_lab.diagnose.rhythm import PERIODS_H, spectrum
-
-Array = npt.NDArray[Any]
 
 _SINCE_WORDS: Final = (
     "in the first hour after a switch",

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.stats
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.diagnosis import Residuals
 from flora_lab.diagnose.joint import Base, Found
@@ -25,8 +25,6 @@ from flora_lab.diagnose.residual_words import Looks, description
 from flora_lab.diagnose.rhythm import spectrum
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
-
-Array = npt.NDArray[Any]
 
 SIGNIFICANT: Final = 0.05
 FEWEST_REFERENCE: Final = 3

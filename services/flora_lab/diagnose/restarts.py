@@ -9,15 +9,13 @@ that may be is known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.first_stem import first_stem
 from flora_lab.simulator.measured import MeasuredRun, UnseenLight
-
-Array = npt.NDArray[Any]
 
 LEAST_H: Final = 0.5
 """A gap in which lamps changed is short up to this."""

@@ -12,12 +12,11 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from flora_common.arrays import Array
 
 PERIODS_H: Final = (1.1, 2.8)
 PLAUSIBLE_H: Final = (1.15, 2.65)

@@ -9,11 +9,11 @@ import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.courses import Course, moments_of
@@ -37,8 +37,6 @@ from flora_lab.simulator.terms import (
     Seen,
 )
 from flora_lab.simulator.tropism import LIGHT_HALF
-
-Array = npt.NDArray[Any]
 
 FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0), (1, 0))
 """Point and axis of what is compared. Heights of the points between follow from the tip's."""

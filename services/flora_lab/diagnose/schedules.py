@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.files import write_bytes
 from flora_common.open_loop import OTHER, OpenLoopSection, Side
 from flora_common.runs import LEVELS, Light
 from flora_common.toml_strict import to_toml
-
-Array = npt.NDArray[Any]
 
 DEFAULT: Final = "6 h"
 """What runs have as long as nobody asks for another one."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
-from flora_lab.diagnose.joint import Found, Joint
+from flora_lab.diagnose.joint import STEPS, Found, Joint
 from flora_lab.effects.effect import Effect, Parameter
-
-Array = npt.NDArray[Any]
 
 _STEPS: Final = 10
 FULLY: Final = 7
@@ -51,7 +49,7 @@ def best_of_each(
     return out
 
 
-def fitted(joint: Joint, before: Found, look: Found, steps: int) -> Found:
+def fitted(joint: Joint, before: Found, look: Found, steps: int = STEPS) -> Found:
     """The fit from where all is taken for linear; once more from where there is no effect, if that was too far off.
 
     A cause more cannot explain less, but for what its being one more costs.

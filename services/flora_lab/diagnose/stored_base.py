@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, residuals, usual_errors
@@ -23,8 +23,6 @@ from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.individual import Prior
 from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import Extension, Provenance, Stored, write_simulator
-
-Array = npt.NDArray[Any]
 
 _PREFIX: Final = "diagnose."
 _SHOWN: Final = "shown."

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
 from flora_lab.simulator.drives import DAY_H
-
-Array = npt.NDArray[Any]
 
 _SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
 """How large each drive is looked for, standard deviation."""

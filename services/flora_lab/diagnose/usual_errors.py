@@ -15,21 +15,19 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import STEP_SPREAD, Cause
 from flora_lab.diagnose.joint import Base, Found, Ready
 from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 from flora_lab.effects.law_forms import FORMS, NEARER
-
-Array = npt.NDArray[Any]
 
 EXPECTED_SHARE: Final = 0.05
 """Size that is expected before any data, in standard deviations of what is plausible for the effect, but for those that

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.special
 import scipy.stats
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explanation import SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause
@@ -19,8 +19,6 @@ from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
 from flora_lab.effects.effect import Effect, Parameter, is_same
-
-Array = npt.NDArray[Any]
 
 SOFTMAX_TEMPERATURE: Final = 2.0
 """Nats are divided by it: models are never as right as their likelihoods take them to be. Chosen on drawn runs of the

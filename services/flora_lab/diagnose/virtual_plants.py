@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.joint import Base
 from flora_lab.diagnose.scene import KNOT_H, USUAL, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.drives import REFERENCE_CM
-
-Array = npt.NDArray[Any]
 
 PLANTS: Final = 40
 BETWEEN: Final = (5.0, 95.0)

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.terms import NEUTRAL
 from flora_lab.simulator.tropism_traits import NAMES
 
-Array = npt.NDArray[Any]
 Values = Mapping[str, float]
 Where = Literal["plant", "camera", "clock", "simulator"]
 

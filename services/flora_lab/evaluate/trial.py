@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.experiment_file import ExperimentFile
-from flora_common.geometry import FloatArray
 from flora_common.runs import Light
 from flora_common.tracks import read_track
 from flora_lab.evolve.episode import Course, Reason

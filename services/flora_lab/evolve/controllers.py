@@ -15,6 +15,7 @@ import msgspec
 from neat.export.json_format import FORMAT_VERSION, get_function_info
 
 from flora_common import controller_file
+from flora_common.arrays import FloatArray
 from flora_common.controller_file import (
     INPUT_NAMES,
     OUTPUT_RULE,
@@ -22,7 +23,6 @@ from flora_common.controller_file import (
     InputScale,
     LoadedController,
 )
-from flora_common.geometry import FloatArray
 from flora_common.network_export import FunctionName, NetworkExport, NetworkLink, NetworkNode, Topology
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import Obstacle, Target

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from flora_common import geometry
+from flora_common.arrays import Array, FloatArray
 from flora_common.controller_file import LEFT_AT_MOST
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.network import NotFinite
 from flora_common.runs import LEVELS, Light
 from flora_common.shapes import Obstacle, Target
@@ -28,7 +27,6 @@ from flora_lab.evolve.task import Scenario, Task
 from flora_lab.simulator.interface import Chance, Simulator
 from flora_lab.simulator.measured import STEP_S
 
-Array = npt.NDArray[Any]
 Reason = Literal["collision", "height", "time", "no answer"]
 
 NO_ANSWER_FITNESS: Final = 0.0

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from flora_common.errors import BadInput
 from flora_lab.evolve.episode import Outcomes, scored
@@ -23,8 +22,6 @@ from flora_lab.evolve.shared_kernel import Episodes, run_shared
 from flora_lab.evolve.shared_steps import shared_steps
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
-
-Array = npt.NDArray[Any]
 
 TYPICAL: Final = Individuals()
 """No plant is drawn."""

@@ -19,22 +19,19 @@ import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array, FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.tracks import read_track
 from flora_lab import made_folders, outputs
 from flora_lab.evolve.episode import Reason
 from flora_lab.evolve.individuals import Judge
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.evolve.task_file import read_task
-
-Array = npt.NDArray[Any]
 
 FORMAT: Final = "flora-evolution-1"
 INFO_FILE: Final = "evolution.toml"

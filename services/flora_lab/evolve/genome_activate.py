@@ -6,16 +6,14 @@ Source of the functions: neat-python 2.0.0, ``neat/activations.py`` and ``neat/a
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.genome_arrays import GenomeArrays
 from flora_lab.evolve.neat_genes import ACTIVATION_NUMBERS, AGGREGATION_NUMBERS
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 _A: Final = ACTIVATION_NUMBERS
 _SIGMOID, _TANH, _SIN, _GAUSS, _RELU = _A["sigmoid"], _A["tanh"], _A["sin"], _A["gauss"], _A["relu"]

@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.network import MAX_NUMBER
 from flora_lab.evolve.neat_genes import FlatGenes, flatten
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

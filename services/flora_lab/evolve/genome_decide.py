@@ -8,18 +8,16 @@ is computed.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.controller_file import LEFT_AT_MOST
 from flora_lab.evolve.genome_activate import Networks, activation_value, aggregate
 from flora_lab.evolve.neat_genes import ACTIVATION_NUMBERS, AGGREGATION_NUMBERS
 from flora_lab.evolve.plant_looks import STEM, TOLD
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 LANES: Final = 4
 """Scenarios of one network that are decided side by side. What comes out does not depend on it."""

@@ -7,8 +7,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 
 Judge = Literal["mean", "worst"]
 

@@ -14,17 +14,15 @@ product of their denominators. The halves of x / 2 are in the weights.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.fast_product import LANES, ROWS, product_of_tile
 from flora_lab.simulator.fast_tanh import tanh_parts
 from flora_lab.simulator.lstm_rows import lined_up
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 _HALF: Final = np.float32(0.5)
 

@@ -13,12 +13,10 @@ from itertools import chain
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.network import ACTIVATIONS, AGGREGATIONS
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 ACTIVATION_NUMBERS: Final = {name: k for k, name in enumerate(ACTIVATIONS)}
 AGGREGATION_NUMBERS: Final = {name: k for k, name in enumerate(AGGREGATIONS)}

@@ -6,12 +6,10 @@ from typing import Any
 
 import neat
 import numpy as np
-import numpy.typing as npt
 from neat.species import Species
 
+from flora_common.arrays import Array
 from flora_lab.evolve.neat_genes import SortedGenes, distances
-
-Array = npt.NDArray[Any]
 
 
 class FastSpeciesSet(neat.DefaultSpeciesSet):  # type: ignore[misc]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.network import MAX_NUMBER
 from flora_common.shapes import STEM_POINTS
 from flora_lab.evolve import scenario_batch
@@ -15,8 +15,6 @@ from flora_lab.evolve.episode import COLLISION, HEIGHT, NO_ANSWER, REASONS, TIME
 from flora_lab.evolve.scenario_batch import collides_lane
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 NOT_FINITE: Final = len(REASONS)
 """The simulator has left the numbers; whoever runs episodes says so."""

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from numba import types
 from numba.extending import overload_method
 
-Array = npt.NDArray[Any]
+from flora_common.arrays import Array
+
 ClassT = TypeVar("ClassT")
 
 _overload: Any = overload_method

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.plants import room
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.drives import DriveNoise, Drives, nutation_size
@@ -17,8 +17,6 @@ from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.rod import jit, points_lane
-
-Array = npt.NDArray[Any]
 
 _PLANTS_KEPT: Final = 256
 _NOTHING: Final = np.zeros(0)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.plants_growing import (
     DriveCourse,
@@ -30,8 +30,6 @@ from flora_lab.simulator.lstm_rows import SAID, RowWeights, lined_up, lstm_rows,
 from flora_lab.simulator.neural_law import GROWTH_OFFSET, INPUTS, OUTPUTS, TRAIT_SHARE, respond, sense, softplus
 from flora_lab.simulator.rod import jit, length_of
 from flora_lab.simulator.sequence import SequenceSimulator
-
-Array = npt.NDArray[Any]
 
 _COUNT: Final = OUTPUTS - 1
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.lstm_tiles import (
     hidden_and_cell,
     hidden_from_zero,
@@ -29,8 +29,6 @@ from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.paper import CELLS, COORDINATES, PaperSimulator
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 INPUT_ROWS: Final = 20
 """Of a tile: 18 coordinates, the light, and one to round up, whose weights are zero; no product leaves anything in the

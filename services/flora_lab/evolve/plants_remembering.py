@@ -9,8 +9,8 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.plants import jit_methods, room
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.interface import Simulator
@@ -18,8 +18,6 @@ from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.paper import CELLS, COORDINATES
 from flora_lab.simulator.remembering import TRACES_H, RememberingSimulator, taken_in
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 _TRACES: Final = len(TRACES_H)
 _GATES: Final = np.concatenate([np.arange(gate * CELLS, (gate + 1) * CELLS) for gate in (0, 2, 3)])

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.plants import jit_methods
 from flora_lab.evolve.plants_growing import (
     DriveCourse,
@@ -24,8 +24,6 @@ from flora_lab.simulator.fast_scratch import row_of
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.rod import LONGEST_STEP_H, length_of
-
-Array = npt.NDArray[Any]
 
 _step = tropism.step_lane
 

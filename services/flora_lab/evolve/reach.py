@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.open_loop import PAPERS_TURNS, open_loop_side
 from flora_common.runs import LEVELS
 from flora_common.shapes import FARTHEST_CM

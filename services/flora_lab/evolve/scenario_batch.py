@@ -7,16 +7,12 @@ last bit, and do not depend on what else is computed with them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_lab.evolve.task import Task
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ row of a plant that nobody looks at any more. There are never more plants than e
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.shapes import STEM_POINTS
 from flora_lab.evolve.episode import NO_ANSWER
 from flora_lab.evolve.genome_activate import Networks
@@ -26,8 +26,6 @@ from flora_lab.evolve.plant_looks import GOES_ON, STEM, Looks, Scenarios, look
 from flora_lab.evolve.plants import Plants
 from flora_lab.evolve.scenario_batch import fitness_lane
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 _NONE: Final = -1
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.episode import Outcomes
-
-Array = npt.NDArray[Any]
 
 
 def shared_steps(outcomes: Outcomes) -> int:

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_lab.simulator.measured import STEP_S

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.evolve.evolution_folder import History
 from flora_lab.evolve.task import Task, averages
 from flora_lab.evolve_report.curves import draw_curve, generation_axis, generations

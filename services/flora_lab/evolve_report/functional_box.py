@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 FENCE: Final = 1.5
 """The central region, widened to either side by this many times its own width, holds all curves but outliers."""

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.patches import Circle, Rectangle
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 from flora_lab.evolve.task import Scenario, Task
 from flora_lab.figure_style import LAMP_COLOURS, OBSTACLE, TARGET

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 from flora_common.tracks import Track
 

@@ -6,9 +6,9 @@ import itertools
 import math
 from dataclasses import dataclass
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadRunFolder
 from flora_common.experiment_file import Ended
-from flora_common.geometry import FloatArray
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import FrameRow, RunFile, RunFolder
 from flora_common.tracks import Track, read_track

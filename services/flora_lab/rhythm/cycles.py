@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.rhythm.lattice import detrended, drawn, lattice
 from flora_lab.rhythm.search import INTERVAL, Found, bridged
-
-Array = npt.NDArray[Any]
 
 BAND: Final = 0.3
 """Width of the pass band about the swing's frequency, as a natural logarithm: one standard deviation."""

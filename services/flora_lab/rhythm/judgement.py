@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.rhythm.cycles import Cycles, analytic, cycles
 from flora_lab.rhythm.lattice import LEAST_CYCLES, LEAST_PER_CYCLE
 from flora_lab.rhythm.search import LEVEL, Found, find
 from flora_lab.rhythm.tip_track import TipTrack
 
-Array = npt.NDArray[Any]
 Along = Literal["x", "y"]
 
 LAMPS_SWING: Final = 0.35

@@ -13,12 +13,11 @@ import functools
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from flora_common.arrays import Array
 
 LEAST_CYCLES: Final = 2.5
 """That must fit into a record."""

@@ -9,14 +9,12 @@ same search, gaps included.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.rhythm.lattice import COHERENCE_CYCLES, STRENGTHS, Lattice, drawn, lattice, periodogram
-
-Array = npt.NDArray[Any]
 
 DRAWN: Final = 399
 """Records of noise; no chance below 1 in 400 can be told."""

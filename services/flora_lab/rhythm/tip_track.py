@@ -14,18 +14,16 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from flora_common import files
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import finite_number, later_time, read_csv
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
 from flora_lab.run_tracks import RunTrack, check_regular, load_run
-
-Array = npt.NDArray[Any]
 
 PLANT_TRACER: Final = ("frame_number", "Apex x (mm)", "Apex y (mm)")
 PLAIN: Final = (

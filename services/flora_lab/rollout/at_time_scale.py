@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final, Generic
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.rollout.predictors import check_dt
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator, StateT
 

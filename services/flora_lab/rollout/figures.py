@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.figure_style import BLUE, COLOURS, GREY, GRID, ORANGE, new_figure, png
 from flora_lab.rollout.free_running import NO_START, FreeRun, Judged
 from flora_lab.rollout.intervals import FEWEST_PLANTS, LEVEL, by_plant, median

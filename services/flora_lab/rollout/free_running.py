@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, polyline_length
-from flora_lab.simulator.interface import History, IntArray, Simulator
+from flora_common.arrays import BoolArray, FloatArray, IntArray
+from flora_common.geometry import polyline_length
+from flora_lab.simulator.interface import History, Simulator
 from flora_lab.simulator.measured import Batch, MeasuredRun, side_by_side
 
 MM_PER_CM: Final = 10.0
@@ -23,8 +23,6 @@ LEAST_GAIN_CM: Final = 0.1
 AT_ONCE: Final = 4096
 """Plants in one batch, to keep memory small; what comes out does not depend on it."""
 NO_START: Final = -1
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, stdtrit
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 LEVEL: Final = 0.95
 RESAMPLES: Final = 4000

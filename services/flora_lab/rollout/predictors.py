@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.measured import STEP_S
 

@@ -8,11 +8,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray, IntArray
 from flora_lab.rollout.free_running import NO_START, Errors, FreeRun, Judged, Plan
 from flora_lab.rollout.intervals import Estimate, by_plant, median, ratio_of_medians
 from flora_lab.rollout.time_scale import TimeScale
-from flora_lab.simulator.interface import IntArray
 from flora_lab.simulator.measured import MeasuredRun
 
 Start = Literal["one_step", "unseen", "watched", "often"]

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_lab.rollout.at_time_scale import AtTimeScale
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.intervals import FEWEST_PLANTS, Estimate, by_plant, ends, resampled

@@ -19,13 +19,12 @@ where innovations are smaller.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.stats
 
-Array = npt.NDArray[Any]
+from flora_common.arrays import Array
 
 WIDER: Final = np.array([1.5, 2.0, 4.0, 10.0, 40.0, 400.0])
 """Variances of innovations that are bet on, in units of what they are at most."""

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.scene import FEATURES, START_SD, Answers, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.serve import evidence, pushes
-
-Array = npt.NDArray[Any]
 
 WATCHED_H: Final = 24
 """Hours after which the simulator knows the plant, and not the typical one alone."""

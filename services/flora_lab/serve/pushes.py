@@ -7,18 +7,16 @@ seen in healthy runs too: that much is expected, and the bets are on more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from flora_common.arrays import Array
 from flora_lab.diagnose import usual_errors
 from flora_lab.diagnose.scene import FEATURES, Answers, Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.effects.effect import RUN_H
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

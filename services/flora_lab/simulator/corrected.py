@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.geometry import resample_by_height
 from flora_lab.simulator.growing import GrowingState
@@ -28,7 +28,6 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import INFO_FILE, Extension, Stored
 
-Array = npt.NDArray[Any]
 Learned = PaperSimulator | SequenceSimulator | RememberingSimulator
 
 _KINDS: Final[dict[str, type[Learned]]] = {

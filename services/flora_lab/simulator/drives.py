@@ -13,12 +13,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 BLOCK: Final = 512
 CHANNELS: Final = 6

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_common.shapes import STEM_POINTS
@@ -22,8 +22,6 @@ from flora_lab.simulator.rod import EARLY_CM
 from flora_lab.simulator.store import Extension
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 from flora_lab.simulator.tropism import TropismLaw
-
-Array = npt.NDArray[Any]
 
 TEMPERATURE: Final = "temperature_c"
 """The covariate that growth may follow."""

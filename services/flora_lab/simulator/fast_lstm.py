@@ -7,16 +7,14 @@ the width of a processor's registers.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.fast_functions import inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.fast_tanh import fast_tanh
-
-Array = npt.NDArray[Any]
 
 MOST_CELLS: Final = 128
 _MOST_GATES: Final = 4 * MOST_CELLS

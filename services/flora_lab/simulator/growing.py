@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.simulator.drives import DriveNoise, Drives
 from flora_lab.simulator.individual import Observed, Prior, covariance_of, fit
@@ -20,8 +20,6 @@ from flora_lab.simulator.law import Law, Stems, advanced, standing
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
 from flora_lab.simulator.store import Stored
 from flora_lab.threads import one_blas_thread
-
-Array = npt.NDArray[Any]
 
 LONGEST_STEP_S: Final = 86_400.0
 LIT_BEFORE_S: Final = 3600.0

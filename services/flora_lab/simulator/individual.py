@@ -8,18 +8,16 @@ with derivatives by central differences, all of them side by side in one batch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.law import Law, standing
 from flora_lab.simulator.measured import MeasuredRun
-
-Array = npt.NDArray[Any]
 
 FEATURES: Final = ((9, 0), (9, 1), (6, 0), (3, 0))
 """Point and axis of what is compared. Heights of the points between follow from the tip's."""

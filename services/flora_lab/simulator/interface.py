@@ -14,10 +14,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray, IntArray
 
 StateT = TypeVar("StateT")
-IntArray = npt.NDArray[np.int64]
 
 Covariates = Mapping[str, FloatArray]
 """Name (such as ``temperature_c``) to one value per plant, shape (batch,)."""

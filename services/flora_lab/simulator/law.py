@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.rod import jit, length_of
 from flora_lab.simulator.shape import points_of, rods_through
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-Float32Array = npt.NDArray[np.float32]
+from flora_common.arrays import Float32Array
 
 
 def rows_times(rows: Float32Array, weights: Float32Array) -> Float32Array:

@@ -8,17 +8,15 @@ bits there and here, wherever it stands and whatever stands beside it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.fast_product import ROWS, VECTOR, product_by_16, product_by_32
 from flora_lab.simulator.fast_scratch import row_of
 from flora_lab.simulator.fast_tanh import fast_tanh
 from flora_lab.simulator.rod import jit
-
-Array = npt.NDArray[Any]
 
 SAID: Final = VECTOR
 """Outputs that there is room for."""

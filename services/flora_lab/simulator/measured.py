@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import BoolArray, FloatArray, IntArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.geometry import polyline_length
 from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
 from flora_lab.run_tracks import RunTrack
-from flora_lab.simulator.interface import IntArray
-
-BoolArray = npt.NDArray[np.bool_]
 
 STEP_S: Final = 300.0
 NEAR_SHARE: Final = 0.35

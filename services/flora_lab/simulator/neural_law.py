@@ -14,12 +14,12 @@ their rates. How much they disagree tells where the model does not know.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_lstm import MOST_CELLS, lstm_step
@@ -38,8 +38,6 @@ from flora_lab.simulator.rod import (
     split,
     whole_registers,
 )
-
-Array = npt.NDArray[Any]
 
 STEP_H: Final = LONGEST_STEP_H
 NODES_CM: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.5, 13.5, 17.0)

@@ -17,11 +17,11 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Float32Array, FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell, LstmState
+from flora_lab.simulator.lstm_cell import Dense, LstmCell, LstmState
 from flora_lab.simulator.store import INFO_FILE, Stored
 
 COORDINATES: Final = 2 * (STEM_POINTS - 1)

@@ -12,12 +12,10 @@ from typing import Any, Final
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.fast_functions import fast_exp, fast_sincos, inlined
 from flora_lab.simulator.fast_scratch import scratch
-
-Array = npt.NDArray[Any]
 
 CAPACITY: Final = 96
 """Segments that a lane has room for; when they are used up, segments grow longer instead of being split."""

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.extended import TEMPERATURE, change_of, law_of, noise_of
@@ -22,8 +22,6 @@ from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.store import INFO_FILE, Extension, Stored
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 from flora_lab.simulator.tropism import TropismLaw
-
-Array = npt.NDArray[Any]
 
 
 class RodSimulator(GrowingSimulator):

@@ -7,16 +7,14 @@ nearly as much as it began with, coming to rest takes many times the constant, a
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.fast_functions import fast_exp, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.rod import CAPACITY, along, directions, split, whole_registers
-
-Array = npt.NDArray[Any]
 
 SOFTNESS_CM: Final = 5.0
 """E-fold of elastic softness with distance from the tip; of the modulus it is 5.0 cm (3.5-6.3), Ohad et al., 54 plants.

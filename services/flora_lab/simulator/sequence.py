@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.growing import (
@@ -28,8 +28,6 @@ from flora_lab.simulator.law import Law, Stems, advanced
 from flora_lab.simulator.measured import STEP_S
 from flora_lab.simulator.neural_law import WEIGHTS, NeuralLaw, weight_shapes
 from flora_lab.simulator.store import Stored
-
-Array = npt.NDArray[Any]
 
 MEAN: Final = -1
 """In place of a member's number: the mean of them all."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.measured import LEAST_CM
 from flora_lab.simulator.rod import CAPACITY, points_lane
-
-Array = npt.NDArray[Any]
 
 SEGMENT_CM: Final = 0.35
 _FINE: Final = 16

@@ -14,11 +14,11 @@ from typing import Annotated, Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import safetensors
 import safetensors.numpy
 
 from flora_common import files
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
 from flora_lab import outputs
@@ -32,7 +32,6 @@ FILES: Final = frozenset({INFO_FILE, WEIGHTS_FILE})
 FIGURES: Final = frozenset({"training.png"})
 """What else may lie in the folder."""
 
-Array = npt.NDArray[Any]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
 LEAST_STEP_S: Final = 1e-3
 """No camera is faster, and the times of a track are still counted in whole steps."""

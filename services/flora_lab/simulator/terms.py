@@ -24,12 +24,12 @@ step:
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator import sag
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
@@ -37,8 +37,6 @@ from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane, split
 from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_step_lane
-
-Array = npt.NDArray[Any]
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)

@@ -17,12 +17,12 @@ the angle from the vertical (positive to the right), kappa the curvature and d t
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
@@ -41,8 +41,6 @@ from flora_lab.simulator.rod import (
     whole_registers,
 )
 from flora_lab.simulator.tropism_traits import NAMES
-
-Array = npt.NDArray[Any]
 
 MATURE_EDGE_CM: Final = 0.8
 LIGHT_HALF: Final = 0.02

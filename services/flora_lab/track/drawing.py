@@ -9,8 +9,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadPicture
-from flora_common.geometry import FloatArray, arc_length, polyline_length, to_px
+from flora_common.geometry import arc_length, polyline_length, to_px
 from flora_common.runs import CameraSection
 from flora_common.shapes import Obstacle, Target
 from flora_common.vision import draw

@@ -16,17 +16,15 @@ from types import TracebackType
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import safetensors.numpy
 
 from flora_common import files
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.stopped_work import check_same_work
 
 FORMAT: Final = "flora-checkpoint-2"
 EVERY_S: Final = 1.0
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.simulator.neural_law import GROWTH_OFFSET, INPUTS, LENGTH_MIDDLE_CM, LENGTH_SCALE_CM, OUTPUTS
 from flora_lab.simulator.rod import jit
 from flora_lab.train.fused_law_parts import (
@@ -44,7 +44,6 @@ from flora_lab.train.windows import REFRESH, SEGMENTS, Windows
 ROWS: Final = 18
 """Windows that go through all steps together."""
 
-Array = npt.NDArray[Any]
 
 _MIDDLE, _PER_LENGTH = f(LENGTH_MIDDLE_CM), f(1.0 / LENGTH_SCALE_CM)
 _OFFSET = f(GROWTH_OFFSET)

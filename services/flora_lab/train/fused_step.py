@@ -31,10 +31,10 @@ from typing import Final
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Float32Array, IntArray
 from flora_lab.simulator.fast_tanh import fast_tanh
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell
+from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, PaperNetwork
 
 LEARNING_RATE: Final = 1e-3
@@ -43,7 +43,6 @@ BETA_2: Final = 0.999
 EPSILON: Final = 1e-7
 """Adam's constants: the paper's rate, and else the defaults of Keras, which it used."""
 
-IntArray = npt.NDArray[np.int64]
 
 _CELLS = 64
 _GATES = 3 * _CELLS

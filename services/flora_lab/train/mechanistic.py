@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.run_tracks import RunTrack
@@ -22,8 +22,6 @@ from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.growing import range_of, trained, usable
 from flora_lab.train.population import Known, Population, first_guess, improved, mean_sd
 from flora_lab.train.recipes import Progress, Trained, TrainOptions
-
-Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
 TOLD_SHARE: Final = 0.7

@@ -16,13 +16,14 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from flora_common.arrays import Float32Array
 from flora_common.errors import BadInput
 from flora_lab.dataset.build import build
 from flora_lab.dataset.pairs import Pairs
 from flora_lab.dataset.recipe import Recipe
 from flora_lab.dataset.store import RunEntry, read_dataset
 from flora_lab.run_tracks import RunTrack
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell
+from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, Box, PaperNetwork, PaperSimulator
 from flora_lab.simulator.store import Provenance, TrackEntry, software
 from flora_lab.train import fused_step

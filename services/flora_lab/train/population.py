@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
+from flora_common.arrays import Array
 from flora_lab.simulator.drives import NOISE_NAMES, DriveNoise
 from flora_lab.simulator.individual import (
     KNOT_H,
@@ -27,8 +27,6 @@ from flora_lab.simulator.individual import (
     fit,
     linearised,
 )
-
-Array = npt.NDArray[Any]
 
 ROUNDS: Final = 3
 SPREAD_STRENGTH: Final = 9.0

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.drives import DriveNoise
@@ -31,8 +32,6 @@ from flora_lab.train.population import noise_about
 from flora_lab.train.recipes import Progress, Trained, TrainOptions
 from flora_lab.train.sequence_fit import SequenceSettings, SequenceTraining
 from flora_lab.train.windows import tracks_of
-
-Array = npt.NDArray[Any]
 
 NAME: Final = "sequence"
 HORIZONS_H: Final = (1, 6, 24)

@@ -17,14 +17,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from flora_common.arrays import Array
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.recipes import Progress, generator
 from flora_lab.train.sequence_losses import CompiledLosses, Losses, TorchLosses
 from flora_lab.train.sequence_net import LawNet
 from flora_lab.train.stopping import EarlyStopping
 from flora_lab.train.windows import Scale, Starts, Tracks, Windows, windows_at
-
-Array = npt.NDArray[Any]
 
 FIRST_SHARE: Final = 0.15
 FEWEST_FOLDS: Final = 4

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from flora_common.arrays import Array
 from flora_lab.simulator.neural_law import ANGLE_SCALE, GROWTH_CM_PER_H, STEP_H, TRAIT_SHARE
 from flora_lab.train import fused_law, sequence_net
 from flora_lab.train.sequence_net import TRAITS, LawNet
 from flora_lab.train.windows import Windows
-
-Array = npt.NDArray[Any]
 
 _NAMES: Final = ("w_ih", "w_hh", "b", "w_out", "b_out", "log_zone")
 

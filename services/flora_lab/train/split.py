@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import IntArray
 from flora_common.errors import BadInput
 
 PARTS: Final = ("train", "validate", "test")
@@ -21,7 +22,6 @@ SHARES: Final = (0.7, 0.2, 0.1)
 """The paper's."""
 
 SplitName = Literal["rows", "plant"]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

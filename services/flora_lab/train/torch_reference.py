@@ -12,7 +12,8 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from flora_lab.simulator.lstm_cell import Dense, Float32Array, LstmCell
+from flora_common.arrays import Float32Array
+from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, PaperNetwork
 from flora_lab.train.fused_step import BETA_1, BETA_2, EPSILON, LEARNING_RATE
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.geometry import arc_length
 from flora_lab.simulator.measured import MeasuredRun, side_by_side
 from flora_lab.simulator.neural_law import STEP_H
 from flora_lab.simulator.shape import smooth_line
-
-Array = npt.NDArray[Any]
 
 SEGMENTS: Final = 24
 FINER_AT_TIP: Final = 1.5

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Float32Array
 from flora_twin.box import Box, PinholeCamera
 from flora_twin.render import lighting, optics
 from flora_twin.render.sensor import COLOUR_MATRIX
-from flora_twin.render.surfaces import FLOOR, HOLDER, LAMP, LINER, POT, SOIL, WALL, Float32, Surfaces, see_box
+from flora_twin.render.surfaces import FLOOR, HOLDER, LAMP, LINER, POT, SOIL, WALL, Surfaces, see_box
 from flora_twin.strips import OFF, LampLight
 
 _KEPT: Final = 4
@@ -36,12 +37,12 @@ class Ground:
     """
 
     window: tuple[slice, slice]
-    ray_cm: Float32
-    light: Float32
+    ray_cm: Float32Array
+    light: Float32Array
 
     @staticmethod
     def of(
-        surfaces: Surfaces, part: npt.NDArray[np.bool_], light_cm: npt.NDArray[np.float64], light: Float32
+        surfaces: Surfaces, part: npt.NDArray[np.bool_], light_cm: npt.NDArray[np.float64], light: Float32Array
     ) -> Ground:
         """The pixels of a part of the picture, and what a light at a place gives them."""
         rows, columns = np.nonzero(part.any(axis=1))[0], np.nonzero(part.any(axis=0))[0]
@@ -81,9 +82,9 @@ class Backdrop:
         self.ground = Ground.of(surfaces, low, box.flash_cm, self.flash)
         inside = np.isin(surfaces.kind, (SOIL, LINER)) & (surfaces.place_cm[..., 2] < 0.9 * box.pot_top_radius_cm)
         self.soil = [Ground.of(surfaces, inside, box.lamps_cm[i], self._lamps[i]) for i in range(2)]
-        self._ready: OrderedDict[tuple[LampLight, LampLight], Float32] = OrderedDict()
+        self._ready: OrderedDict[tuple[LampLight, LampLight], Float32Array] = OrderedDict()
 
-    def lamps(self, left: LampLight, right: LampLight) -> Float32:
+    def lamps(self, left: LampLight, right: LampLight) -> Float32Array:
         """The box under its lamps alone, shape (height, width, 3); kept for the states used last. Do not change it."""
         key = (left, right)
         if key in self._ready:
@@ -100,7 +101,7 @@ class Backdrop:
             self._ready.popitem(last=False)
         return total
 
-    def _finish(self, light: Float32, glare: Float32 | None = None) -> Float32:
+    def _finish(self, light: Float32Array, glare: Float32Array | None = None) -> Float32Array:
         """Glare of the lens round what is lit itself, blur and vignetting of the lens."""
         if glare is not None:
             light = light + (_EMISSION * glare)[..., None]
@@ -111,17 +112,17 @@ class Backdrop:
         return np.ascontiguousarray(blurred * self.vignette[..., None], dtype=np.float32)
 
 
-def _facing(surfaces: Surfaces, towards: Float32) -> Float32:
+def _facing(surfaces: Surfaces, towards: Float32Array) -> Float32Array:
     return np.asarray(np.maximum(np.einsum("...i,...i->...", surfaces.normal, towards), 0.0), dtype=np.float32)
 
 
-def _past_edge(surfaces: Surfaces, towards: Float32, wrap: float) -> Float32:
+def _past_edge(surfaces: Surfaces, towards: Float32Array, wrap: float) -> Float32Array:
     """The cosine of a surface that sees a wide light past its edge too."""
     cosine = np.einsum("...i,...i->...", surfaces.normal, towards)
     return np.asarray(np.maximum(cosine + wrap, 0.0) / (1.0 + wrap), dtype=np.float32)
 
 
-def _flash_light(s: Surfaces, box: Box) -> Float32:
+def _flash_light(s: Surfaces, box: Box) -> Float32Array:
     level, towards = lighting.flash_at(s.place_cm, box)
     direct = level * _facing(s, towards)
     liner = s.kind == LINER
@@ -139,11 +140,11 @@ def _flash_light(s: Surfaces, box: Box) -> Float32:
     bounce[floor] *= (1.0 - 0.55 * near_pot)[floor]
     side = s.kind == POT
     bounce[side] *= (0.75 + 0.25 * s.normal[..., 2])[side]
-    total: Float32 = s.albedo * (direct + bounce)[..., None] * s.decor.flash_bgr.astype(np.float32)
+    total: Float32Array = s.albedo * (direct + bounce)[..., None] * s.decor.flash_bgr.astype(np.float32)
     return total
 
 
-def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32:
+def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32Array:
     level, towards = lighting.lamp_at(s.place_cm, which, box)
     level *= np.float32(s.decor.lamp_share[which])
     direct = level * _facing(s, towards)
@@ -154,13 +155,13 @@ def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32:
     direct[wall] = (level * _past_edge(s, towards, lighting.LAMP_WRAP))[wall]
     low = (s.kind == FLOOR) | (s.kind == SOIL)
     direct[low] *= _pot_shadow(s.place_cm, box.lamps_cm[which], box)[low]
-    total: Float32 = (
+    total: Float32Array = (
         s.albedo * (direct + lighting.LAMP_BOUNCE * lighting.LAMP_LEVEL * s.decor.lamp_share[which])[..., None]
     )
     return total
 
 
-def _pot_shadow(place_cm: Float32, lamp_cm: npt.NDArray[np.float64], box: Box) -> Float32:
+def _pot_shadow(place_cm: Float32Array, lamp_cm: npt.NDArray[np.float64], box: Box) -> Float32Array:
     """1 where the lamp is seen, 0 where the pot stands between; soft because the lamp is wide."""
     step = lamp_cm - place_cm
     end = np.clip((_SHADING_RIM_CM - place_cm[..., 1]) / step[..., 1], 0.0, 1.0)
@@ -171,6 +172,6 @@ def _pot_shadow(place_cm: Float32, lamp_cm: npt.NDArray[np.float64], box: Box) -
     return np.asarray(seen, dtype=np.float32)
 
 
-def _smooth(value: npt.NDArray[np.floating], low: float, high: float) -> Float32:
+def _smooth(value: npt.NDArray[np.floating], low: float, high: float) -> Float32Array:
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), dtype=np.float32)

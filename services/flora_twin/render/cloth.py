@@ -6,11 +6,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Float32Array
 from flora_twin.render.decor import Decor
-
-Float32 = npt.NDArray[np.float32]
 
 _DRAPES: Final = 13
 _CREASES: Final = 26
@@ -20,7 +18,7 @@ _COARSE: Final = 2
 """The relief is made at this fraction of the picture's size."""
 
 
-def relief(x_cm: Float32, y_cm: Float32, decor: Decor, rng: np.random.Generator) -> Float32:
+def relief(x_cm: Float32Array, y_cm: Float32Array, decor: Decor, rng: np.random.Generator) -> Float32Array:
     """Slopes of the hanging cloth, shape (height, width, 2): rise towards the camera per cm in x and in y.
 
     Args:
@@ -55,7 +53,7 @@ def relief(x_cm: Float32, y_cm: Float32, decor: Decor, rng: np.random.Generator)
     return np.asarray(np.clip(full, -1.2, 1.2), dtype=np.float32)
 
 
-def weave(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
+def weave(shape: tuple[int, int], rng: np.random.Generator) -> Float32Array:
     """Relative reflectance (height, width): wear, weave and the pattern that sensors see in both."""
     fine = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), 1.1) * 2.6
     coarse = cv2.GaussianBlur(rng.standard_normal((shape[0] // 2, shape[1] // 2), dtype=np.float32), (0, 0), 1.6) * 4.0
@@ -64,7 +62,7 @@ def weave(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
     return np.asarray(np.clip(1.0 + 0.05 * wear + 0.06 * fine + 0.085 * medium, 0.3, 2.0), dtype=np.float32)
 
 
-def dust(shape: tuple[int, int], decor: Decor, rng: np.random.Generator) -> Float32:
+def dust(shape: tuple[int, int], decor: Decor, rng: np.random.Generator) -> Float32Array:
     """What specks and lint add to the reflectance, shape (height, width)."""
     out = np.zeros(shape, np.float32)
     height, width = shape
@@ -83,10 +81,10 @@ def dust(shape: tuple[int, int], decor: Decor, rng: np.random.Generator) -> Floa
     return cv2.GaussianBlur(out, (0, 0), 0.6).astype(np.float32)
 
 
-def crumpled(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
+def crumpled(shape: tuple[int, int], rng: np.random.Generator) -> Float32Array:
     """Slopes (height, width, 2) of cloth pushed together, as in the pot; sizes in pixels."""
     wide = (shape[0] * 2, shape[1])  # folds lie along the rim
-    tall: Float32 = (
+    tall: Float32Array = (
         5.5 * _cloud(rng, wide, 60.0)
         - 3.4 * np.abs(_cloud(rng, wide, 34.0))
         - 1.5 * np.abs(_cloud(rng, wide, 17.0))
@@ -97,7 +95,9 @@ def crumpled(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
     return np.asarray(np.clip(np.stack([right, -down], axis=-1), -1.5, 1.5), dtype=np.float32)
 
 
-def _add_crease(height: Float32, x: Float32, y: Float32, strength: float, rng: np.random.Generator) -> None:
+def _add_crease(
+    height: Float32Array, x: Float32Array, y: Float32Array, strength: float, rng: np.random.Generator
+) -> None:
     """A straight ridge of some length, most of them steep, as cloth keeps from being folded or pulled."""
     cx, cy = rng.uniform(-48.0, 48.0), rng.uniform(-10.0, 52.0)
     lean = float(np.pi / 2 + 0.45 * rng.standard_normal() if rng.random() < 0.8 else rng.uniform(0.0, np.pi))
@@ -117,7 +117,7 @@ def _add_crease(height: Float32, x: Float32, y: Float32, strength: float, rng: n
     height[part] += (tall * fades * np.exp(-((across / width) ** 2))).astype(np.float32)
 
 
-def _cloud(rng: np.random.Generator, shape: tuple[int, int], size_px: float) -> Float32:
+def _cloud(rng: np.random.Generator, shape: tuple[int, int], size_px: float) -> Float32Array:
     """Smooth noise of unit variance with features of about ``size_px``."""
     small = rng.standard_normal((int(shape[0] / size_px) + 4, int(shape[1] / size_px) + 4)).astype(np.float32)
     large = cv2.resize(small, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)

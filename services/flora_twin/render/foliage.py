@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_twin.parameters import PlantParameters
 from flora_twin.render import mesh
 from flora_twin.render.mesh import Leaf, Mesh

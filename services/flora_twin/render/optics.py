@@ -6,11 +6,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Float32Array
 from flora_twin.box import PinholeCamera
-
-Float32 = npt.NDArray[np.float32]
 
 BLUR_PX: Final = 0.80
 CORNER_BLUR_PX: Final = 1.7
@@ -21,14 +19,14 @@ BLUE_SCALE: Final = 1.0 - 5e-4
 _NEARLY_MIDDLE: Final = 0.12
 
 
-def vignette(camera: PinholeCamera) -> Float32:
+def vignette(camera: PinholeCamera) -> Float32Array:
     """Fall of brightness towards the corners, shape (height, width)."""
     ray = camera.rays()
     r2 = ray[..., 0] ** 2 + ray[..., 1] ** 2
     return np.asarray(1.0 / (1.0 + 0.85 * r2), dtype=np.float32)
 
 
-def whole_picture(light: Float32, camera: PinholeCamera) -> Float32:
+def whole_picture(light: Float32Array, camera: PinholeCamera) -> Float32Array:
     """Blur and colour fringes for a whole picture (height, width, 3)."""
     sharp = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
     soft = cv2.GaussianBlur(light, (0, 0), CORNER_BLUR_PX)
@@ -39,7 +37,9 @@ def whole_picture(light: Float32, camera: PinholeCamera) -> Float32:
     return out
 
 
-def through_lens(drawn: Float32, window: tuple[slice, slice], camera: PinholeCamera) -> tuple[Float32, Float32]:
+def through_lens(
+    drawn: Float32Array, window: tuple[slice, slice], camera: PinholeCamera
+) -> tuple[Float32Array, Float32Array]:
     """The same for a part of the picture.
 
     Args:
@@ -62,7 +62,7 @@ def through_lens(drawn: Float32, window: tuple[slice, slice], camera: PinholeCam
     return np.asarray(light, dtype=np.float32), np.asarray(cover, dtype=np.float32)
 
 
-def _softness(window: tuple[slice, slice], camera: PinholeCamera) -> Float32:
+def _softness(window: tuple[slice, slice], camera: PinholeCamera) -> Float32Array:
     """Share of the corner's blur, 0 in the middle and 1 at the corners."""
     x = np.arange(window[1].start, window[1].stop, dtype=np.float32) - np.float32((camera.width_px - 1) / 2)
     y = np.arange(window[0].start, window[0].stop, dtype=np.float32) - np.float32((camera.height_px - 1) / 2)
@@ -70,7 +70,7 @@ def _softness(window: tuple[slice, slice], camera: PinholeCamera) -> Float32:
     return np.asarray(r2 * np.float32(4.0 / (camera.width_px**2 + camera.height_px**2)), dtype=np.float32)
 
 
-def _scaled(plane: Float32, scale: float, x0: int, y0: int, camera: PinholeCamera) -> Float32:
+def _scaled(plane: Float32Array, scale: float, x0: int, y0: int, camera: PinholeCamera) -> Float32Array:
     """One colour, made larger by ``scale`` about the middle of the picture."""
     cx, cy = (camera.width_px - 1) / 2 - x0, (camera.height_px - 1) / 2 - y0
     shift = np.array([[1.0 / scale, 0.0, cx * (1.0 - 1.0 / scale)], [0.0, 1.0 / scale, cy * (1.0 - 1.0 / scale)]])

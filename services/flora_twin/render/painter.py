@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_twin.box import PinholeCamera
 from flora_twin.render import optics
 from flora_twin.render.mesh import Mesh
-from flora_twin.render.surfaces import Float32, Front
+from flora_twin.render.surfaces import Front
 
 _SUPERSAMPLE: Final = 3
 _FULL_SCALE: Final = 2.5
@@ -32,8 +32,8 @@ class Patch:
     """
 
     window: tuple[slice, slice]
-    light: Float32
-    cover: Float32
+    light: Float32Array
+    cover: Float32Array
 
 
 def paint(mesh: Mesh, colour: FloatArray, camera: PinholeCamera, front: Front | None) -> Patch | None:

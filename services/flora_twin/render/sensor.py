@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_twin.render.surfaces import Float32
+from flora_common.arrays import Float32Array
 
 JPEG_QUALITIES: Final = (85, 93)
 """Range of the JPEG quality, one for each box; Pi cameras are run at 85 to 93."""
@@ -69,13 +69,13 @@ class Sensor:
         self._pool = np.asarray(np.rint(pool / pool.std() * 64.0), dtype=np.int16)
 
     @staticmethod
-    def balance(light: Float32, exposure: Exposure) -> None:
+    def balance(light: Float32Array, exposure: Exposure) -> None:
         """Colour gains, in place."""
         red, blue = (gain / known for gain, known in zip(exposure.colour_gains, REFERENCE_COLOUR_GAINS, strict=True))
         if red != 1.0 or blue != 1.0:
             light *= np.array([blue, 1.0, red], np.float32)
 
-    def develop(self, light: Float32, exposure: Exposure, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    def develop(self, light: Float32Array, exposure: Exposure, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
         """An 8-bit picture (height, width, 3), blue, green, red, from light as exposed; overwrites ``light``.
 
         The tone curve is the square root (a gamma of 2), under which shot noise is even and read noise grows in the

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_twin.box import Box
 from flora_twin.render import lighting, shadows
 from flora_twin.render.foliage import Foliage

@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_twin.render import mesh
 from flora_twin.render.foliage import Foliage
 from flora_twin.render.mesh import Leaf
-
-Float32 = npt.NDArray[np.float32]
 
 THROUGH_BLADE_BGR: Final = np.array([0.08, 0.28, 0.16])
 """Share of light that comes through a blade. Estimate; leaves let little blue and red through."""
@@ -65,7 +63,7 @@ def over_plant(
     return np.asarray(passed[:, None] * (1.0 - THROUGH_BLADE_BGR) + THROUGH_BLADE_BGR, dtype=np.float64)
 
 
-def on_ground(foliage: Foliage, stem_radius_cm: float, light_cm: FloatArray, softness_cm: float) -> Float32:
+def on_ground(foliage: Foliage, stem_radius_cm: float, light_cm: FloatArray, softness_cm: float) -> Float32Array:
     """Darkness, 0 to 1, that the plant casts on the plane y = 0, on a grid of cells x, z; see :func:`ground_cells`."""
     size = int(2 * REACH_CM * CELLS_PER_CM)
     picture = np.zeros((size, size), np.uint8)

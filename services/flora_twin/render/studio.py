@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_twin.box import BOX, CAMERA, Box, PinholeCamera
 from flora_twin.render.backdrop import Backdrop, Ground
 from flora_twin.render.foliage import Subject, plant, stem_mesh
@@ -18,7 +18,6 @@ from flora_twin.render.painter import paint
 from flora_twin.render.sensor import COLOUR_MATRIX, Exposure, Sensor
 from flora_twin.render.shading import Lit, shade
 from flora_twin.render.shadows import ground_cells, on_ground
-from flora_twin.render.surfaces import Float32
 from flora_twin.strips import OFF, LampLight
 
 EXPOSURE_JITTER: Final = 0.005
@@ -111,7 +110,9 @@ class Studio:
         out[inside] = np.where(own > 0.05, np.clip(left / np.maximum(own, 0.05), 0.0, 1.0), 0.0)
         return out
 
-    def _add_plant(self, light: Float32, subject: Subject, lighting_now: Lighting, flash: float, scale: float) -> None:
+    def _add_plant(
+        self, light: Float32Array, subject: Subject, lighting_now: Lighting, flash: float, scale: float
+    ) -> None:
         foliage = plant(subject, self.camera.position_cm)
         radius = subject.parameters.base_radius_cm
         lamps = [
@@ -141,7 +142,7 @@ def _jitter(rng: np.random.Generator, size: float) -> float:
     return 1.0 + size * factor * float(np.clip(rng.standard_normal(), -2.5, 2.5))
 
 
-def _lost(ground: Ground, dark: Float32, level: np.float32 | Float32) -> Float32:
+def _lost(ground: Ground, dark: Float32Array, level: np.float32 | Float32Array) -> Float32Array:
     """Light that is missing where the plant stands in its way, shape (h, w, 3)."""
     cells = ground_cells(ground.ray_cm)
     share = cv2.remap(dark, cells[..., 0], cells[..., 1], cv2.INTER_LINEAR, borderValue=0.0)

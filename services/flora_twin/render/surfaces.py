@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Float32Array
 from flora_twin.box import Box, PinholeCamera
 from flora_twin.render.cloth import crumpled, dust, relief, weave
 from flora_twin.render.decor import Decor, cloth_radius_cm
-
-Float32 = npt.NDArray[np.float32]
 
 WALL, FLOOR, POT, SOIL, LAMP, LINER, HOLDER = 0, 1, 2, 3, 4, 5, 6
 
@@ -48,11 +47,11 @@ class Surfaces:
         decor: what this box has of its own.
     """
 
-    place_cm: Float32
-    normal: Float32
-    albedo: Float32
+    place_cm: Float32Array
+    normal: Float32Array
+    albedo: Float32Array
     kind: npt.NDArray[np.uint8]
-    glow: Float32
+    glow: Float32Array
     front: Front
     decor: Decor
 
@@ -104,11 +103,11 @@ def see_box(camera: PinholeCamera, box: Box, seed: int) -> Surfaces:
 
 
 def _add_cone(
-    ray: Float32,
+    ray: Float32Array,
     eye: npt.NDArray[np.float64],
-    depth: Float32,
+    depth: Float32Array,
     kind: npt.NDArray[np.uint8],
-    normal: Float32,
+    normal: Float32Array,
     span_cm: tuple[float, float],
     radius_cm: float,
     slope: float,
@@ -140,11 +139,11 @@ def _add_cone(
 
 
 def _add_liner(
-    ray: Float32,
+    ray: Float32Array,
     eye: npt.NDArray[np.float64],
-    depth: Float32,
+    depth: Float32Array,
     kind: npt.NDArray[np.uint8],
-    normal: Float32,
+    normal: Float32Array,
     decor: Decor,
     camera: PinholeCamera,
     box: Box,
@@ -177,7 +176,7 @@ def _front(decor: Decor, camera: PinholeCamera, box: Box) -> Front:
 
 
 def _ruffle(
-    normal: Float32, place: Float32, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator
+    normal: Float32Array, place: Float32Array, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator
 ) -> None:
     """Tip the normals of the cloths by their folds."""
     on_wall = np.ascontiguousarray(place[..., :2])
@@ -199,14 +198,14 @@ def _ruffle(
         normal[cloth] /= np.linalg.norm(normal[cloth], axis=1, keepdims=True)
 
 
-def _along(value: Float32, known: npt.NDArray[np.bool_]) -> Float32:
+def _along(value: Float32Array, known: npt.NDArray[np.bool_]) -> Float32Array:
     """Continue evenly spaced values over a line where only some are known."""
     at = np.nonzero(known)[0]
     step = (value[at[-1]] - value[at[0]]) / (at[-1] - at[0])
     return np.asarray(value[at[0]] + step * (np.arange(len(value)) - at[0]), dtype=np.float32)
 
 
-def _albedo(place: Float32, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator) -> Float32:
+def _albedo(place: Float32Array, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator) -> Float32Array:
     """Reflectance in blue, green and red: cloth, dust, soil crumbs and a plastic pot."""
     shape = kind.shape
     texture = weave((shape[0], shape[1]), rng)
@@ -237,8 +236,8 @@ def _albedo(place: Float32, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.r
 
 
 def _cables(
-    albedo: Float32,
-    normal: Float32,
+    albedo: Float32Array,
+    normal: Float32Array,
     kind: npt.NDArray[np.uint8],
     camera: PinholeCamera,
     box: Box,
@@ -267,7 +266,7 @@ def _cables(
             normal[there] = np.array([0.0, lean, 1.0]) / np.hypot(1.0, lean)
 
 
-def _coil(place: Float32, lamp: npt.NDArray[np.float64], glow: Float32, albedo: Float32) -> None:
+def _coil(place: Float32Array, lamp: npt.NDArray[np.float64], glow: Float32Array, albedo: Float32Array) -> None:
     """The strip in turns round a dark tube: pale tape with diodes."""
     body = glow > 0
     p = place[body] - lamp.astype(np.float32)

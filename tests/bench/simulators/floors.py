@@ -13,7 +13,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import LEVELS
 from flora_common.tracks import Track
 from flora_twin.grow import FRAME_S, stem_points_cm

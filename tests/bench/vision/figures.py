@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, distance_to_polyline_cm
+from flora_common.arrays import FloatArray
+from flora_common.geometry import distance_to_polyline_cm
 
 SAMPLES: Final = 50
 CONFIDENT_TIP_MM: Final = 10.0

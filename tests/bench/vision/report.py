@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.vision.figures import FIGURES, RunScores, intervals, pooled
 from bench.vision.work import WORST, BadFrame, RunResult, Timing
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.draw import CYAN, RED, CmToPx, Colour, contact_sheet, draw_caption
 from flora_common.vision.picture import Picture, decode_picture
 

@@ -18,7 +18,7 @@ import numpy as np
 from bench.vision.figures import Found, RunScores, line_distances_mm, run_scores
 from bench.vision.methods import METHODS
 from drawings import drawn_run
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from truth_run import TruthFrame, TruthRun, twin_run
 

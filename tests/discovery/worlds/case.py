@@ -10,8 +10,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection, LampsSection, RunFile
 from flora_common.suggest import did_you_mean
 from flora_common.tracks import Track

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.shapes import STEM_POINTS
 from flora_common.tracks import Track
 

@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.runs import Light
 
 from . import kernel

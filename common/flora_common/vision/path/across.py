@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
-from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, BoolArray, Sampler, normals
+from flora_common.arrays import BoolArray, FloatArray
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, Sampler, normals
 
 EDGE_ERROR_PX: Final = 0.35
 ONE_EDGE_ERROR_PX: Final = 3.0

@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path import across, curve, doubts
 from flora_common.vision.path.apex import drawn_to
 from flora_common.vision.path.chain import RIVAL_CM, Before

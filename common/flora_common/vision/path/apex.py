@@ -17,14 +17,12 @@ from typing import Final
 import cv2
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import Float32Array, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.nearby import LONGEST_S
 from flora_common.vision.picture import Picture
-
-Float32Array = npt.NDArray[np.float32]
 
 SPREAD_CM: Final = 0.3
 """Standard deviation of the weights about the tip: less is bare stem, which slides along itself; more is old leaves."""

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Float32Array = npt.NDArray[np.float32]
+from flora_common.arrays import Float32Array
 
 MOST: Final = 255.0
 """Of an activation; the least is 0."""

@@ -14,11 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import BoolArray, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path import spline
 from flora_common.vision.path.across import Across, measured
 from flora_common.vision.path.chain import Chain
-from flora_common.vision.path.sampler import BoolArray, Sampler, places_along
+from flora_common.vision.path.sampler import Sampler, places_along
 from flora_common.vision.path.spline import Smoother, Spline
 from flora_common.vision.path.survey import median
 

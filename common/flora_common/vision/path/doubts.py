@@ -12,15 +12,15 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import ByteArray, Float32Array, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.looks import has_neck, leaf_from
 from flora_common.vision.path.sampler import Sampler
-from flora_common.vision.path.strands import ByteArray, Strands
-from flora_common.vision.path.survey import Float32Array
+from flora_common.vision.path.strands import Strands
 
 LEAST_COVER: Final = 0.75
 """Share of the line that must lie on plant."""

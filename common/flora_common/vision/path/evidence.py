@@ -14,13 +14,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_common.vision.lamp_states import COARSE, log_code
 from flora_common.vision.path.survey import (
     BLOCK,
     CLEAR,
     LEAST_EVIDENCE,
-    Float32Array,
     Survey,
     Surveyor,
     enlarged,

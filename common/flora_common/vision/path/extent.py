@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import arc_length
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.curve import STEP_PX, Stem

@@ -16,7 +16,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path.sampler import normals, places_along
 from flora_common.vision.path.strands import Strands
 

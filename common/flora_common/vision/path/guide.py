@@ -21,9 +21,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import Float32Array, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
-from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Float32Array, Layer, Network
+from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Layer, Network
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.sampler import normals, places_along, values_at
 
@@ -63,7 +64,7 @@ LEAST_ASIDE: Final = 1e-4
 """Square of a likelihood; where it is no greater to either side, the line stays where it is."""
 PLAIN_ALONG: Final = 0.4
 """A known stem is as sure as its apex where its way is likelier than this."""
-IntArray = npt.NDArray[np.intp]
+IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,7 +288,7 @@ def in_middle(maps: Maps, line_px: FloatArray, px_per_cm: float) -> tuple[FloatA
     return line_px + shift, maps.stem_at(moved)
 
 
-def _centred(likely: FloatArray, way: IntArray) -> FloatArray:
+def _centred(likely: FloatArray, way: IndexArray) -> FloatArray:
     """Places (x, y) in the middle of what is likely about each pixel of a way."""
     offsets = np.arange(-ABOUT_PEAK, ABOUT_PEAK + 1)
     rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
@@ -313,7 +314,9 @@ def _evened(line: FloatArray, tip: FloatArray, anchor: FloatArray) -> FloatArray
     return smooth
 
 
-def _cheapest_ways(cost: FloatArray, start: tuple[int, int], ends: Sequence[tuple[int, int]]) -> list[IntArray | None]:
+def _cheapest_ways(
+    cost: FloatArray, start: tuple[int, int], ends: Sequence[tuple[int, int]]
+) -> list[IndexArray | None]:
     """The cheapest ways from pixel to neighbouring pixel to some ends, each of shape (n, 2), rows and columns; None to
     those that are too dear."""
     stride = cost.shape[1] + 2
@@ -337,7 +340,7 @@ def _cheapest_ways(cost: FloatArray, start: tuple[int, int], ends: Sequence[tupl
             if further < least.get(there, math.inf):
                 least[there], before[there] = further, here
                 heapq.heappush(waiting, (further, there))
-    found: list[IntArray | None] = []
+    found: list[IndexArray | None] = []
     for end in last:
         if end in sought:
             found.append(None)

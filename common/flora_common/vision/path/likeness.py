@@ -17,11 +17,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import Float32Array
 from flora_common.vision.lamp_states import COARSE, EmptySetup
 from flora_common.vision.path.survey import Survey, median
 from flora_common.vision.picture import Picture
-
-Float32Array = npt.NDArray[np.float32]
 
 REDUCED: Final = 2 * COARSE
 FINE, BROAD = 1.0, 4.0

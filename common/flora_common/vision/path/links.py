@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path.nodes import Node, angle
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import Strands

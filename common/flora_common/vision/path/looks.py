@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path.sampler import Sampler, places_along
 
 STEP_CM: Final = 0.05

@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path import length
 from flora_common.vision.path.apex import Apex, Followed, judged
 from flora_common.vision.path.chain import Before

@@ -15,14 +15,15 @@ import cv2
 import msgspec
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import ByteArray, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path import curve, doubts
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.sampler import Sampler
-from flora_common.vision.path.survey import ByteArray, Survey
+from flora_common.vision.path.survey import Survey
 from flora_common.vision.path.tip import Tip, find_tip
 
 MOST_LOOKS: Final = 11

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path.strands import Strand
 
 DIRECTION_OVER_CM: Final = 0.7

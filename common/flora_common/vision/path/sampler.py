@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 from flora_common.vision.path.evidence import Evidence
-
-BoolArray = npt.NDArray[np.bool_]
 
 ROW_PX: Final = 1024
 LEAF_GREENER: Final = (6.0, 14.0)

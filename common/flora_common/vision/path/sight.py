@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from flora_common.arrays import Float32Array
 from flora_common.runs import CameraSection
 from flora_common.vision.path.doubts import EDGE_PX, touching_px
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.likeness import Likeness
 from flora_common.vision.path.strands import Strands, find_strands
-from flora_common.vision.path.survey import Float32Array
 
 
 @dataclass(frozen=True, eq=False)

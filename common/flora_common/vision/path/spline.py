@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flora_common.geometry import FloatArray
+from flora_common.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

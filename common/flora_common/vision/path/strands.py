@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.geometry import FloatArray, polyline_length
+from flora_common.arrays import ByteArray, FloatArray
+from flora_common.geometry import polyline_length
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.thinning import neighbour_offsets, thin
-
-ByteArray = npt.NDArray[np.uint8]
 
 LOCAL_SHARE: Final = 0.40
 """Of the strongest evidence nearby, a pixel needs this share to belong to the plant: edges lie at the half."""

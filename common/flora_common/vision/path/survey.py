@@ -14,16 +14,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import ByteArray, Float32Array, FloatArray, Int16Array
 from flora_common.errors import BadInput, BadPicture
-from flora_common.geometry import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE, EmptySetup, LampState, coarse_code
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.picture import Picture, checked_array
-
-Float32Array = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
-Int16Array = npt.NDArray[np.int16]
 
 BLOCK: Final = 16
 """Side of the squares, in coarse pixels, whose median gives the slow deviation from the empty setup."""

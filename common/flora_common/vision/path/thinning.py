@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-ByteArray = npt.NDArray[np.uint8]
+from flora_common.arrays import ByteArray
 
 # The eight neighbours, clockwise from the upper left, as bits 0 to 7.
 _NORTH, _EAST, _SOUTH, _WEST = 1, 3, 5, 7

@@ -13,11 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
+from flora_common.arrays import BoolArray, FloatArray
+from flora_common.geometry import arc_length
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, Stem
 from flora_common.vision.path.looks import leaf_from
-from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, BoolArray, Sampler
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, Sampler
 from flora_common.vision.path.trace import traced
 
 GLANCE, LOOKED_AT = 4, 9

@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, arc_length
-from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, LEAF_GREENER, BoolArray, Sampler, places_along
+from flora_common.arrays import BoolArray, FloatArray
+from flora_common.geometry import arc_length
+from flora_common.vision.path.sampler import HALF_LIGHT_LEVEL, LEAF_GREENER, Sampler, places_along
 
 STEP_WIDTHS: Final = 0.35
 FITTED_WIDTHS, LEAST_FITTED_PX = 2.5, 8.0

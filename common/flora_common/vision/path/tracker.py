@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.geometry import FloatArray, resample_by_height
+from flora_common.arrays import FloatArray
+from flora_common.geometry import resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.path import along_way, doubts, guide, length, nearby
