@@ -40,7 +40,7 @@ def make_uploader(
 
     spool, target = runs_dir(rig, config), make_target(rig, config)
     world = World(time.monotonic, time.time_ns, room, say)
-    return Uploader(spool, Path(rig.run_dir), target, ledger, config.settings(), world, may_free=may_free)
+    return Uploader(spool, Path(rig.run_dir), target, ledger, config, world, may_free=may_free)
 
 
 def upload_once(rig: RigSection, config: UploaderSection) -> int:

@@ -9,7 +9,6 @@ import msgspec
 
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
-from flora_uploader.model import Settings
 from flora_uploader.scan import SpoolUnreadable, is_run_folder, real_path
 from flora_uploader.target import FolderTarget
 
@@ -44,9 +43,6 @@ class UploaderSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recheck_per_hour: Annotated[
         float, msgspec.Meta(ge=0.0, le=100_000.0, description="files read again at the target; 0: none")
     ] = 120.0
-
-    def settings(self) -> Settings:
-        return Settings(self.table_every_s, self.scan_every_s, self.keep_percent_free, self.recheck_per_hour)
 
 
 def runs_dir(rig: RigSection, config: UploaderSection) -> Path:

@@ -24,16 +24,6 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """Behaviour; see ``[uploader]``."""
-
-    table_every_s: float = 600.0
-    scan_every_s: float = 30.0
-    keep_percent_free: float = 10.0
-    recheck_per_hour: float = 120.0
-
-
-@dataclass(frozen=True, slots=True)
 class World:
     """What is handed in.
 

@@ -14,10 +14,11 @@ from typing import Final
 from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
 from flora_uploader import retention, scan
 from flora_uploader.conditions import Conditions
+from flora_uploader.config import UploaderSection
 from flora_uploader.ledger import Ledger
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem
 from flora_uploader.ledger_model import Entry
-from flora_uploader.model import Event, Settings, Stage, Totals, World
+from flora_uploader.model import Event, Stage, Totals, World
 from flora_uploader.policy import Pause, Waits
 from flora_uploader.spool import Spool
 from flora_uploader.target import Target
@@ -55,7 +56,7 @@ class Uploader:
         run_dir: the rig's present run folder.
         target: where files go.
         ledger: what has been verified.
-        settings: behaviour.
+        config: how often, and how much room.
         world: clocks, chance, disk.
         may_free: whether it may make room in the spool at all.
     """
@@ -66,14 +67,14 @@ class Uploader:
         run_dir: Path,
         target: Target,
         ledger: Ledger,
-        settings: Settings,
+        config: UploaderSection,
         world: World,
         *,
         may_free: bool = True,
     ) -> None:
         self._target = target
         self._ledger = ledger
-        self._settings = settings
+        self._config = config
         self._world = world
         self.conditions = Conditions()
         self.totals = Totals()
@@ -181,7 +182,7 @@ class Uploader:
             self._works()  # nothing is left that it could refuse
         if self._closing:
             return None
-        wanted_room = self._settings.keep_percent_free
+        wanted_room = self._config.keep_percent_free
         if self._may_free and wanted_room > 0 and self._world.percent_free() < wanted_room:
             now_ns = self._world.utc_ns()
             oldest = self._ledger.next_to_free(
@@ -194,7 +195,7 @@ class Uploader:
             )
             if oldest is not None:
                 return self._free(oldest)
-        if self._settings.recheck_per_hour > 0 and now_s >= self._recheck_at_s:
+        if self._config.recheck_per_hour > 0 and now_s >= self._recheck_at_s:
             checked = self._ledger.next_to_check(lambda e: self._waits.is_over(e.key, now_s))
             if checked is not None:
                 return self._recheck(checked)
@@ -206,7 +207,7 @@ class Uploader:
 
         def is_due(entry: Entry) -> bool:
             sent_s = self._table_sent_s.get(entry.key)
-            return may(entry) and (self._closing or sent_s is None or now_s >= sent_s + self._settings.table_every_s)
+            return may(entry) and (self._closing or sent_s is None or now_s >= sent_s + self._config.table_every_s)
 
         if self._closing:
             return self._ledger.next_waiting("table", is_due) or self._ledger.next_waiting("once", may)
@@ -218,7 +219,7 @@ class Uploader:
             wake_s.append(self._pause.until_s)
         else:
             wake_s += self._waits.ends_after(now_s)
-            if self._settings.recheck_per_hour > 0 and self.stored:
+            if self._config.recheck_per_hour > 0 and self.stored:
                 wake_s.append(max(self._recheck_at_s, now_s + 1.0))
         return max(0.01, min(wake_s) - now_s)
 
@@ -226,7 +227,7 @@ class Uploader:
 
     def _scan(self, *, everything: bool) -> Work:
         now_s = self._world.now_s()
-        self._scan_at_s = now_s + self._settings.scan_every_s
+        self._scan_at_s = now_s + self._config.scan_every_s
         whole = yield from self._spool.look_through(everything=everything)
         if whole and everything:
             self._scan_all_at_s = now_s + SCAN_ALL_EVERY_S
@@ -293,7 +294,7 @@ class Uploader:
             self._refused(entry, reason)
 
     def _recheck(self, entry: Entry) -> Work:
-        self._recheck_at_s = self._world.now_s() + 3600.0 / self._settings.recheck_per_hour
+        self._recheck_at_s = self._world.now_s() + 3600.0 / self._config.recheck_per_hour
         with self._connected(entry) as connected:
             if not connected:
                 return

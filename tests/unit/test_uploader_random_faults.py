@@ -9,7 +9,7 @@ import pytest
 from uploader_fakes import DAY_NS, Bench, Killed, sha
 
 from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
-from flora_uploader.model import Settings
+from flora_uploader.config import UploaderSection
 
 FAULTS = (
     NasUnreachable("/memory: gone"),
@@ -55,7 +55,7 @@ class Story:
 @pytest.mark.parametrize("seed", range(10))
 def test_nothing_is_lost_torn_or_doubled(tmp_path: Path, seed: int) -> None:
     chance = random.Random(seed)
-    bench = Bench(tmp_path, settings=Settings(table_every_s=20.0, scan_every_s=10.0))
+    bench = Bench(tmp_path, config=UploaderSection(table_every_s=20.0, scan_every_s=10.0))
     story = Story(bench, chance)
     struck = 0
     lasting: list[StoreError] = []

@@ -11,12 +11,12 @@ import pytest
 from uploader_fakes import DAY_NS, Bench, Killed, sha
 
 from flora_common.errors import NasUnreachable
-from flora_uploader.model import Settings
+from flora_uploader.config import UploaderSection
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(tmp_path, settings=Settings(scan_every_s=600.0, recheck_per_hour=0.0))
+    bench = Bench(tmp_path, config=UploaderSection(scan_every_s=600.0, recheck_per_hour=0.0))
     yield bench
     bench.kill()
 
@@ -102,7 +102,7 @@ def test_a_copy_that_goes_bad_while_the_disk_fills_is_mended_before_room_is_made
 def test_no_photograph_is_ever_without_a_whole_copy(tmp_path: Path, seed: int) -> None:
     """Every photograph is, at every moment, whole in the spool or whole at the target, whatever fails or is killed."""
     chance = random.Random(seed)
-    bench = Bench(tmp_path, settings=Settings(scan_every_s=50.0, recheck_per_hour=400.0))
+    bench = Bench(tmp_path, config=UploaderSection(scan_every_s=50.0, recheck_per_hour=400.0))
     pictures: dict[str, bytes] = {}
 
     def whole_somewhere() -> None:

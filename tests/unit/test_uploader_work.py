@@ -13,8 +13,8 @@ import pytest
 from uploader_fakes import DAY_NS, Bench, rot, sha
 
 from flora_common.errors import DiskFull, NasRefused, StoreError
+from flora_uploader.config import UploaderSection
 from flora_uploader.ledger_damage import LedgerDamaged
-from flora_uploader.model import Settings
 from flora_uploader.transfer import CHUNK_BYTES, SYNC_BYTES, Order, transfer
 
 
@@ -229,7 +229,7 @@ def test_a_target_that_fails_is_told_once_and_work_resumes(
 
 
 def test_a_target_that_is_gone_costs_little_and_is_greeted_when_back(bench: Bench) -> None:
-    bench.settings = Settings(scan_every_s=7200.0)
+    bench.config = UploaderSection(scan_every_s=7200.0)
     bench.restart()
     bench.target.is_there = False
     for number in range(1, 51):
@@ -279,7 +279,7 @@ def test_a_damaged_read_back_never_gets_the_name(bench: Bench) -> None:
 
 
 def test_a_flipped_byte_at_the_target_is_found_within_a_day_and_sent_again(bench: Bench) -> None:
-    bench.settings = Settings(scan_every_s=7200.0)
+    bench.config = UploaderSection(scan_every_s=7200.0)
     bench.restart()
     for number in range(1, 31):
         bench.photograph(number, b"picture %d" % number)
@@ -554,7 +554,7 @@ def test_a_ledger_that_goes_bad_at_any_moment_is_not_waited_for(bench: Bench, ca
 
 
 def test_no_recheck_and_no_deletion_where_switched_off(bench: Bench) -> None:
-    bench.settings = Settings(keep_percent_free=0.0, recheck_per_hour=0.0)
+    bench.config = UploaderSection(keep_percent_free=0.0, recheck_per_hour=0.0)
     bench.percent_free = 1.0
     bench.restart()
     path = bench.photograph(1, b"one", age_ns=9 * DAY_NS)

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from flora_common.errors import NasUnreachable
+from flora_uploader.config import UploaderSection
 from flora_uploader.ledger import Ledger
-from flora_uploader.model import Event, Settings, World
+from flora_uploader.model import Event, World
 from flora_uploader.uploader import Uploader
 
 DAY_NS = 24 * 3600 * 1_000_000_000
@@ -154,7 +155,7 @@ class Bench:
     root: Path
     target: MemoryTarget = field(default_factory=MemoryTarget)
     clocks: Clocks = field(default_factory=Clocks)
-    settings: Settings = field(default_factory=Settings)
+    config: UploaderSection = field(default_factory=UploaderSection)
     percent_free: float = 60.0
     events: list[Event] = field(default_factory=list)
 
@@ -175,7 +176,7 @@ class Bench:
             self.events.append,
             lambda low, high: high,
         )
-        self.uploader = Uploader(self.spool, self.run, self.target, self.ledger, self.settings, world)
+        self.uploader = Uploader(self.spool, self.run, self.target, self.ledger, self.config, world)
 
     def restart(self) -> None:
         self.uploader.abandon()
