@@ -19,6 +19,7 @@ OPERATIONS: Final = ("now", "wait", "flash", "strips", "shutter", "plant", "faul
 
 CAMERA_HANGS: Final = "camera_hangs"
 TORN_JPEG: Final = "torn_jpeg"
+CAMERA_KNOCKED: Final = "camera_knocked"
 FLASH_DEAD: Final = "flash_dead"
 LAMP_COMMAND_LOST: Final = "lamp_command_lost"
 CLOCK_JUMPS: Final = "clock_jumps"
@@ -36,6 +37,7 @@ class Fault:
 _ENTRIES: Final = (
     Fault(CAMERA_HANGS, "the shutter never answers; everything else still does", "world"),
     Fault(TORN_JPEG, "the camera hands over a JPEG file that ends too early", "world"),
+    Fault(CAMERA_KNOCKED, "the camera looks 1 % of the picture's width beside where it did", "world"),
     Fault(FLASH_DEAD, "the flash lamp stays dark and says so", "world"),
     Fault(LAMP_COMMAND_LOST, "bytes for the strips are acknowledged and ignored", "world"),
     Fault(CLOCK_JUMPS, "the UTC clock is off by `seconds`; the steady clock is not", "world"),

@@ -201,9 +201,9 @@ class WorldServer:
         if world.faults.occurs(menu.CAMERA_HANGS):
             self.save()
             return None
-        torn = world.faults.is_on(menu.TORN_JPEG)
+        spoilt = world.faults.is_on(menu.TORN_JPEG) or world.faults.is_on(menu.CAMERA_KNOCKED)
         jpeg, metadata = world.photograph(request.exposure_us, request.analogue_gain, request.colour_gains)
-        if torn:
+        if spoilt:
             self.save()
         files.append_line(self._state_dir / TRUTH, json.dumps(self._truth(request.name, jpeg), allow_nan=False))
         return {"ok": True, "jpeg": jpeg, "metadata": metadata}

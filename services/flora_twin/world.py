@@ -180,7 +180,11 @@ class World:
         tick = (round(self.time_s * 1000.0), self._pictures_now)
         self._pictures_now += 1
         jpeg = self._studio.photograph(
-            Lighting(*self.lamps, flash=self.flash), taken, self.subject() if self.planted else None, tick
+            Lighting(*self.lamps, flash=self.flash),
+            taken,
+            self.subject() if self.planted else None,
+            tick,
+            knocked=self.faults.occurs(menu.CAMERA_KNOCKED),
         )
         if self.faults.occurs(menu.TORN_JPEG):
             jpeg = jpeg[: int(len(jpeg) * _TORN_SHARE)]

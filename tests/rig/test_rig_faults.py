@@ -74,6 +74,19 @@ def test_torn_pictures_never_become_stems_or_files(running: VirtualRig) -> None:
     assert len(running.seen.frames) > before
 
 
+def test_a_knocked_camera_is_told_and_no_stem_is_read_beside_its_place(running: VirtualRig) -> None:
+    with faults.fault(running, "camera_knocked"):
+        go_on(running, 2)
+        stem = running.seen.stem
+        assert stem is not None
+        assert stem.outcome == "bad_picture"
+        assert "the camera has moved by 1.0% of the picture's width" in stem.reason
+        assert not running.seen.missed
+    go_on(running, 2)
+    assert running.seen.stem is not None
+    assert running.seen.stem.outcome == "ok"
+
+
 def test_a_dead_flash_is_told_and_the_photograph_is_marked(running: VirtualRig) -> None:
     with faults.fault(running, "flash_dead"):
         go_on(running, 2)
@@ -154,7 +167,7 @@ def test_a_schedule_of_faults_strikes_and_passes(virtual_rig: Callable[..., Virt
 
 def test_the_whole_menu_is_tried_here() -> None:
     tried = {
-        *("camera_hangs", "torn_jpeg", "flash_dead", "lamp_command_lost", "clock_jumps"),
+        *("camera_hangs", "torn_jpeg", "camera_knocked", "flash_dead", "lamp_command_lost", "clock_jumps"),
         *("bus_restarted", "service_killed", "nas_gone", "nas_read_only"),
     }
     assert set(MENU) == tried

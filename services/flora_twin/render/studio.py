@@ -26,6 +26,8 @@ FLASH_JITTER: Final = 0.010
 _ODD_ONES: Final = 0.15
 _ODD_FACTOR: Final = 4.0
 """Share of the pictures that differ more, and how much: bulbs flicker rarely, but then they do."""
+KNOCKED_SHARE: Final = 0.01
+"""Of the picture's width: so far a camera looks beside where it did once it was knocked."""
 _SHADOW_DEPTH: Final = 0.85
 _SHADOW_SOFT_CM: Final = 0.45
 
@@ -59,6 +61,8 @@ class Studio:
         exposure: Exposure,
         subject: Subject | None,
         tick: tuple[int, ...],
+        *,
+        knocked: bool = False,
     ) -> npt.NDArray[np.uint8]:
         """One picture, shape (height, width, 3), blue, green, red.
 
@@ -67,6 +71,7 @@ class Studio:
             exposure: of the camera.
             subject: the plant; none gives the setup without a plant.
             tick: whole numbers that, with the studio's seed, fix all that is random in this picture.
+            knocked: whether the camera looks beside where it did.
         """
         rng = np.random.default_rng([self.seed, 41, *tick])
         brightness = _jitter(rng, EXPOSURE_JITTER)
@@ -76,14 +81,22 @@ class Studio:
         light = np.asarray(cv2.addWeighted(self.backdrop.flash, flash * scale, lamps, scale, 0.0), dtype=np.float32)
         if subject is not None:
             self._add_plant(light, subject, lighting_now, flash, scale)
+        if knocked:
+            light = _knocked(light)
         self.sensor.balance(light, exposure)
         return self.sensor.develop(light, exposure, rng)
 
     def photograph(
-        self, lighting_now: Lighting, exposure: Exposure, subject: Subject | None, tick: tuple[int, ...]
+        self,
+        lighting_now: Lighting,
+        exposure: Exposure,
+        subject: Subject | None,
+        tick: tuple[int, ...],
+        *,
+        knocked: bool = False,
     ) -> bytes:
         """The same as a JPEG file."""
-        return self.sensor.encode(self.picture(lighting_now, exposure, subject, tick))
+        return self.sensor.encode(self.picture(lighting_now, exposure, subject, tick, knocked=knocked))
 
     def visible(self, subject: Subject) -> FloatArray:
         """Share of the stem that is in view at each point of its centreline, shape (n,), 0 to 1.
@@ -135,6 +148,15 @@ class Studio:
         if patch is not None:
             view = light[patch.window]
             view += patch.cover * (patch.light * self.backdrop.vignette[patch.window][..., None] - view)
+
+
+def _knocked(light: Float32Array) -> Float32Array:
+    """What falls on the sensor of a camera that was turned a little: all of it elsewhere, the rim drawn out."""
+    width = light.shape[1]
+    by = KNOCKED_SHARE * width * np.array([0.8, -0.6])
+    matrix = np.array([[1.0, 0.0, by[0]], [0.0, 1.0, by[1]]])
+    moved = cv2.warpAffine(light, matrix, (width, light.shape[0]), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float32)
 
 
 def _jitter(rng: np.random.Generator, size: float) -> float:
