@@ -6,6 +6,7 @@ hardly any of it; one that leaves only :func:`unsure_of_end` shows the stem, and
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Final
 
@@ -48,11 +49,14 @@ noise there is."""
 BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
 HIDES_MORE: Final = "something stands before the board where it ends, and may hide more of it"
 ANOTHER_PART: Final = "another part of the plant may as well be the stem"
-BEYOND_CM, BESIDE_CM, PLACE_CM = (0.6, 1.6), 1.0, 0.2
+BEYOND_CM, BESIDE_CM, PLACE_CM = (0.6, 1.6), 1.0, 0.1
 """The board beyond an end: how far ahead, how far to either side, and how far apart it is looked at."""
 NOT_THE_BOARD: Final = 2.5
 """Code units, some 3 %, by which it differs in any colour where something stands before it. Of a hundred good pictures
 the most was 1.6; six hands that hid a stem's upper part, each on a board as dark as it, had 3.3 to 29."""
+ERROR_OF_MEDIAN, ERRORS = 1.858, 4.0
+"""Standard error of a median, times the root of the number, over the median deviation (of a normal distribution); and
+how many of them it must be off by, for noise in the dark has several code units."""
 LONGEST_UNSEEN_CM: Final = 2.4
 """In a picture by itself: over a longer gap what goes on may be another plant's stem, and what hides it its leaf."""
 
@@ -124,10 +128,14 @@ def hides_more(line: FloatArray, flat: Float32Array, px_per_cm: float) -> str:
     aside = np.array([-ahead[1], ahead[0]])
     off = along[:, None, None] * ahead + across[None, :, None] * aside
     x, y = np.rint((line[-1] + px_per_cm * off.reshape(-1, 2)) / COARSE).astype(int).T
+    x, y = np.unique(np.stack([x, y]), axis=1)
     inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
-    if not inside.any() or np.abs(np.median(flat[y[inside], x[inside]], axis=0)).max() < NOT_THE_BOARD:
+    if not inside.any():
         return ""
-    return HIDES_MORE
+    board = flat[y[inside], x[inside]]
+    off = np.median(board, axis=0)
+    error = ERROR_OF_MEDIAN * np.median(np.abs(board - off), axis=0) / math.sqrt(len(board))
+    return HIDES_MORE if (np.abs(off) > np.maximum(NOT_THE_BOARD, ERRORS * error)).any() else ""
 
 
 def unseen(gap_cm: float) -> str:
