@@ -115,14 +115,16 @@ def fades(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
     return ""
 
 
-def hides_more(line: FloatArray, flat: Float32Array, px_per_cm: float) -> str:
+def hides_more(line: FloatArray, flat: Float32Array | None, px_per_cm: float) -> str:
     """Why something may hide what goes on beyond a line's end, one clause; empty where the board is seen there.
 
     Args:
         line: px of the full picture.
-        flat: how the picture differs from the empty setup (:class:`.survey.Survey`).
+        flat: how the picture differs from the empty setup (:class:`.survey.Survey`); None where that is not known.
         px_per_cm: of the full picture.
     """
+    if flat is None:
+        return ""
     ahead = _heading(line, px_per_cm)
     along, across = np.arange(*BEYOND_CM, PLACE_CM), np.arange(-BESIDE_CM, BESIDE_CM + 0.5 * PLACE_CM, PLACE_CM)
     aside = np.array([-ahead[1], ahead[0]])

@@ -25,7 +25,8 @@ class Sight:
         widest_px: what is thicker is leaf.
         foot_px: the place in the window that is nearest to the anchor.
         ways: what the network tells, likeliest first; none where there is no plant.
-        flat: how the whole picture differs from the empty setup, as :class:`.survey.Survey` has it.
+        flat: how the whole picture differs from the empty setup, as :class:`.survey.Survey` has it; None where that was
+            learnt from the plant's own pictures, for it has ghosts of them.
     """
 
     evidence: Evidence
@@ -33,7 +34,7 @@ class Sight:
     camera: CameraSection
     widest_px: float
     foot_px: tuple[float, float]
-    flat: Float32Array
+    flat: Float32Array | None
     ways: tuple[Way, ...] = ()
 
     @cached_property

@@ -119,7 +119,8 @@ class PathTracker:
         ways: tuple[Way, ...] = ()
         if not (evidence.empty or self._demands.unmet(evidence.changed, likeness)):
             ways = guide.everywhere(evidence, np.array(self._foot_px), self.camera.px_per_cm)
-        return Sight(evidence, likeness, self.camera, self._widest_px, self._foot_px, survey.flat, ways)
+        flat = survey.flat if self._likeness is not None else None
+        return Sight(evidence, likeness, self.camera, self._widest_px, self._foot_px, flat, ways)
 
     def _near(self, survey: Survey, likeness: Likeness, time_s: float) -> StemReading | None:
         """The stem where it was in the picture before; None where only the whole picture can tell."""
