@@ -301,7 +301,7 @@ def test_plants_are_looked_for_again_where_the_best_fit_found_them() -> None:
 
     class Still:
         @staticmethod
-        def fit(start: Found, _: int) -> Found:
+        def fit(start: Found) -> Found:
             return start
 
     def fit(evidence: float, traits: float, *, is_full: bool = True) -> Found:
