@@ -17,6 +17,11 @@ from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS, Obstacle
 
 
+def unit(vector: FloatArray) -> FloatArray:
+    """A vector, shape (2,), at length 1; nothing where it has none."""
+    return np.asarray(vector / max(1e-9, float(np.hypot(vector[0], vector[1]))), dtype=np.float64)
+
+
 def collides(points_cm: npt.ArrayLike, obstacle: Obstacle) -> bool:
     """Whether the polyline through ``points_cm`` touches the obstacle anywhere, not only at its points.
 

@@ -23,6 +23,8 @@ CAMERA_KNOCKED: Final = "camera_knocked"
 FLASH_DEAD: Final = "flash_dead"
 LAMP_COMMAND_LOST: Final = "lamp_command_lost"
 CLOCK_JUMPS: Final = "clock_jumps"
+SPOIL_PICTURES: Final = (TORN_JPEG, CAMERA_KNOCKED)
+"""Of these an occurrence is used up by a photograph."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import FloatArray, IntArray
 from flora_twin.box import BOX, Box
 from flora_twin.parameters import NAMES, PlantParameters, draw_individual
 
@@ -100,7 +100,7 @@ class Plants:
         return total
 
     @property
-    def segments(self) -> npt.NDArray[np.int64]:
+    def segments(self) -> IntArray:
         """Number of segments in use, shape (batch,)."""
         return np.asarray((self._length > 0).sum(axis=1), dtype=np.int64)
 

@@ -201,7 +201,7 @@ class WorldServer:
         if world.faults.occurs(menu.CAMERA_HANGS):
             self.save()
             return None
-        spoilt = world.faults.is_on(menu.TORN_JPEG) or world.faults.is_on(menu.CAMERA_KNOCKED)
+        spoilt = any(world.faults.is_on(name) for name in menu.SPOIL_PICTURES)
         jpeg, metadata = world.photograph(request.exposure_us, request.analogue_gain, request.colour_gains)
         if spoilt:
             self.save()

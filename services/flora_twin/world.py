@@ -179,13 +179,14 @@ class World:
             self._studio = Studio(self.seed, self.camera, self.box)
         tick = (round(self.time_s * 1000.0), self._pictures_now)
         self._pictures_now += 1
-        jpeg = self._studio.photograph(
+        picture = self._studio.picture(
             Lighting(*self.lamps, flash=self.flash),
             taken,
             self.subject() if self.planted else None,
             tick,
             knocked=self.faults.occurs(menu.CAMERA_KNOCKED),
         )
+        jpeg = self._studio.sensor.encode(picture)
         if self.faults.occurs(menu.TORN_JPEG):
             jpeg = jpeg[: int(len(jpeg) * _TORN_SHARE)]
         exposure = round(taken.exposure_us)

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_twin.render import Exposure, Lighting, Studio
 from flora_twin.strips import OFF, LampLight, strip_bytes
 from flora_twin.world import World
@@ -199,7 +199,7 @@ def drawn(seeds: range) -> Sample:
             world.advance_to(hours * 3600.0)
             subject, truth = world.subject(), world.truth()
             assert truth is not None
-            picture = as_small(studio.photograph(lit[lamp], EXPOSURE, subject, (i, 0)))
+            picture = as_small(studio.sensor.encode(studio.picture(lit[lamp], EXPOSURE, subject, (i, 0))))
             share = studio.visible(subject)
             steps = np.linalg.norm(np.diff(subject.centreline_cm, axis=0), axis=1)
             sample.hidden.append(100.0 * (1.0 - float((0.5 * (share[1:] + share[:-1]) * steps).sum() / steps.sum())))
@@ -218,16 +218,15 @@ def drawn(seeds: range) -> Sample:
             left = int(np.clip(tip[0] - 72, 0, WIDTH_PX - 145))
             sample.crops.append(picture[top : top + 145, left : left + 145])
         for lamp in ("left", "right"):
-            empty = [as_small(studio.photograph(lit[lamp], EXPOSURE, None, (9, k))) for k in range(6)]
+            bare = (studio.picture(lit[lamp], EXPOSURE, None, (9, k)) for k in range(6))
+            empty = [as_small(studio.sensor.encode(picture)) for picture in bare]
             cloth(sample, empty[0], TWIN_CLOTH)
             lamp_tint(sample, empty[0], lamp, slice(240, 390))
             consecutive(sample, empty, TWIN_CLOTH)
     return sample
 
 
-def stem_places_where(
-    sample: Sample, picture: Picture, line: FloatArray, use: npt.NDArray[np.bool_], lamp: str
-) -> None:
+def stem_places_where(sample: Sample, picture: Picture, line: FloatArray, use: BoolArray, lamp: str) -> None:
     """The same as :func:`stem_places` for the runs of a line that are in view."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], use.astype(np.int8), [0]])))
     for first, last in zip(edges[::2], edges[1::2], strict=True):

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import ByteArray
 from flora_common.geometry import arc_length
 from flora_common.vision.path.sampler import places_along
 
@@ -181,7 +182,7 @@ class Canvas:
         """More or less light on what has been painted, shape (height, width, 1 or 3), code units."""
         self.code += self.covered[..., None] * light.astype(np.float32)
 
-    def _lay(self, mask: npt.NDArray[np.uint8], colour: Floats, share: float) -> None:
+    def _lay(self, mask: ByteArray, colour: Floats, share: float) -> None:
         cover = mask.astype(np.float32) / 255.0 * share
         np.maximum(self.covered, cover, out=self.covered)
         self.code += cover[..., None] * (colour - self.code)

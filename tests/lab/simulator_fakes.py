@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_common.errors import BadInput
 from flora_common.runs import LEVELS, TRACK_HEADER, Light, track_line
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
@@ -78,7 +77,7 @@ class StraightPlant(Simulator[Straight]):
         stems[:, 1:, 0] += self.shift_cm
         return stems
 
-    def is_beyond_data(self, state: Straight) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: Straight) -> Array:
         return state.tip_cm[:, 1] > self.beyond_cm
 
 

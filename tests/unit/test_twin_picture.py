@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_common.errors import BadInput
 from flora_twin.box import CAMERA, camera_section
 from flora_twin.parameters import NAMES, draw_individual
@@ -218,7 +218,7 @@ def white_stem(subject: Subject) -> FloatArray:
     return np.ones((len(stem_mesh(subject, CAMERA.position_cm).owner), 3))
 
 
-def off_middle(picture: npt.NDArray[np.float32], line_px: FloatArray) -> FloatArray:
+def off_middle(picture: Float32Array, line_px: FloatArray) -> FloatArray:
     """How far the middle of what is bright lies beside each point of a line, in px."""
     tangent = np.gradient(line_px, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -268,11 +268,15 @@ def test_exposure_and_gains_act(studio: Studio) -> None:
 
 def test_pictures_follow_from_seed_and_tick_alone(world: World, studio: Studio) -> None:
     light, subject = Lighting(LEFT, OFF), world.subject()
-    first = studio.photograph(light, Exposure(), subject, (7,))
-    studio.photograph(light, Exposure(), None, (8,))
-    assert studio.photograph(light, Exposure(), subject, (7,)) == first
-    assert Studio(4).photograph(light, Exposure(), subject, (7,)) == first
-    assert studio.photograph(light, Exposure(), subject, (8,)) != first
+
+    def photographed(one: Studio, shown: Subject | None, tick: int) -> bytes:
+        return one.sensor.encode(one.picture(light, Exposure(), shown, (tick,)))
+
+    first = photographed(studio, subject, 7)
+    photographed(studio, None, 8)
+    assert photographed(studio, subject, 7) == first
+    assert photographed(Studio(4), subject, 7) == first
+    assert photographed(studio, subject, 8) != first
 
 
 def test_two_pictures_at_one_time_differ_only_by_noise(world: World) -> None:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection, Light
 from flora_common.shapes import Obstacle, Target
 from flora_common.vision.picture import Picture
@@ -44,11 +45,11 @@ class CmToPx:
         self._anchor = np.array(camera.anchor_px, dtype=np.float64)
         self.px_per_cm = camera.px_per_cm * self._share
 
-    def __call__(self, points_cm: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def __call__(self, points_cm: npt.ArrayLike) -> FloatArray:
         """Positions in px, y down; shape (n, 2) as given, cm, y up."""
         p = np.asarray(points_cm, dtype=np.float64).reshape(-1, 2) * np.array([1.0, -1.0])
         anchor = (self._anchor + 0.5) * self._share - 0.5
-        px: npt.NDArray[np.float64] = anchor + p * self.px_per_cm
+        px: FloatArray = anchor + p * self.px_per_cm
         return px
 
 
@@ -190,7 +191,7 @@ def contact_sheet(
     return sheet
 
 
-def _fine(px: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
+def _fine(px: FloatArray) -> npt.NDArray[np.int32]:
     """Positions in 16ths of a pixel; what lies absurdly far outside is held near, where drawing cannot overflow."""
     held = np.clip(np.nan_to_num(px, nan=0.0), -100_000.0, 100_000.0)
     return np.rint(held * 2**_FINE_BITS).astype(np.int32)

@@ -17,9 +17,8 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Int16Array
+from flora_common.arrays import ByteArray, Float32Array, Int16Array
 from flora_common.errors import BadPicture
 from flora_common.vision.picture import Picture, checked_array
 
@@ -185,9 +184,7 @@ def from_frames(frames: Sequence[Picture], *, anchor_px: tuple[float, float], wi
     return LampState(empty, np.asarray(cv2.resize(empty, size), dtype=np.uint8), len(frames))
 
 
-def _replace_foot(
-    empty: Picture, moves: npt.NDArray[np.uint8], anchor_px: tuple[float, float], widest_px: float
-) -> None:
+def _replace_foot(empty: Picture, moves: ByteArray, anchor_px: tuple[float, float], widest_px: float) -> None:
     """Put the surroundings in place of the part of a stem that never moves; changes ``empty``."""
     row, column = np.nonzero(moves)
     if row.size == 0:
@@ -204,7 +201,7 @@ def _replace_foot(
     empty[foot] = around[foot]
 
 
-def _plant_like(code: Picture, *, chroma_only: bool = False) -> npt.NDArray[np.float32]:
+def _plant_like(code: Picture, *, chroma_only: bool = False) -> Float32Array:
     """Green and yellow count, and brightness a little; shape (..., 3) to (...)."""
     b, g, r = (code[..., k].astype(np.float32) for k in range(3))
     chroma = 1.5 * (g - 0.5 * (b + r)) + 0.6 * (0.5 * (g + r) - b)

@@ -29,9 +29,8 @@ from typing import Annotated, Final, Literal
 import cv2
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import BoolArray, FloatArray
+from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import CameraSection, Px
 from flora_common.shapes import STEM_POINTS
@@ -189,9 +188,7 @@ class PaperTracker:
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def outside_setup(
-    R: npt.NDArray[np.float32], L: npt.NDArray[np.float32], H: npt.NDArray[np.float32], theta_1: float
-) -> BoolArray:
+def outside_setup(R: Float32Array, L: Float32Array, H: Float32Array, theta_1: float) -> BoolArray:
     """Where (R < L - theta_1) or (R > H + theta_1), all in [0, 1]; on the limit itself is not outside."""
     outside: BoolArray = (L - (theta_1 + _TIE) > R) | (H + (theta_1 + _TIE) < R)
     return outside

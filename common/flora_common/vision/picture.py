@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common import files
+from flora_common.arrays import ByteArray
 from flora_common.errors import BadPicture
 from flora_common.vision.header import JPEG_START, picture_size
 
@@ -120,7 +121,7 @@ def decode_picture(
     return picture
 
 
-def checked_array(picture: npt.NDArray[np.uint8], *, where: str) -> Picture:
+def checked_array(picture: ByteArray, *, where: str) -> Picture:
     """The array itself, after a check that it is a colour picture.
 
     Raises:

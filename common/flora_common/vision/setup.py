@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from flora_common import files
-from flora_common.arrays import Float32Array
+from flora_common.arrays import ByteArray, Float32Array
 from flora_common.errors import BadInput, BadPicture
 from flora_common.vision.lamp_states import MadeBy
 from flora_common.vision.picture import Picture, Reduction, checked_array, decode_picture, read_picture_bytes
@@ -115,8 +114,8 @@ def from_pictures(pictures: Iterable[Picture], *, sources_sha256: str = "") -> S
     Raises:
         BadPicture: none at all, or of different sizes.
     """
-    low: npt.NDArray[np.uint8] | None = None
-    high: npt.NDArray[np.uint8] | None = None
+    low: ByteArray | None = None
+    high: ByteArray | None = None
     count = 0
     for picture in pictures:
         level = checked_array(picture, where=f"background picture {count + 1}")[:, :, 1]
@@ -201,9 +200,9 @@ def learn_from_frames(frames: Sequence[Picture], *, percentiles: tuple[float, fl
     return SetupMatrices(_unit(low), _unit(high), "frames", len(levels))
 
 
-def _unit(levels: npt.NDArray[np.uint8]) -> Float32Array:
+def _unit(levels: ByteArray) -> Float32Array:
     return levels.astype(np.float32) / np.float32(255.0)
 
 
-def _size(level: npt.NDArray[np.uint8]) -> str:
+def _size(level: ByteArray) -> str:
     return f"{level.shape[1]}x{level.shape[0]}"

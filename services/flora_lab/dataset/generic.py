@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import BoolArray, FloatArray
+from flora_common.arrays import BoolArray, FloatArray, IntArray
 from flora_lab.dataset.recipe import GenericSettings
 from flora_lab.dataset.stems import Stems
 
@@ -26,7 +25,7 @@ def translations(exponents: tuple[int, ...], unit_cm: float) -> FloatArray:
     return unit_cm * np.array(list(itertools.product(steps, steps)))
 
 
-def windows(stems: Stems, length: int) -> npt.NDArray[np.int64]:
+def windows(stems: Stems, length: int) -> IntArray:
     """Starts of pieces of ``length`` stems, end to end, each unbroken and under one light; shape (k,)."""
     follows = np.zeros(len(stems), dtype=np.bool_)
     follows[stems.followers() + 1] = True

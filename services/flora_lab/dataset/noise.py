@@ -16,9 +16,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import FloatArray, IntArray
 from flora_lab.dataset.recipe import NoiseMean, NoiseSettings
 from flora_lab.dataset.stems import Int32Array, Stems
 
@@ -53,7 +52,7 @@ def local_statistics(tips_cm: FloatArray, light: Int32Array, theta_3: int) -> tu
     return mean, deviation
 
 
-def _nearest_others(tips: FloatArray, block: slice, count: int) -> npt.NDArray[np.int64]:
+def _nearest_others(tips: FloatArray, block: slice, count: int) -> IntArray:
     """Indices of the ``count`` nearest other tips of each tip in the block, shape (block, count)."""
     squared = ((tips[block, None, :] - tips[None, :, :]) ** 2).sum(axis=2)
     own = np.arange(block.start, block.stop)

@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import BoolArray, FloatArray
+from flora_common.arrays import BoolArray, FloatArray, IntArray
 
 POINTS: Final = 9
 """Points of a vector psi: point 2 to the tip. The anchor is always (0, 0) and left out."""
@@ -50,7 +50,7 @@ class Stems:
         """Shape (n, 2)."""
         return self.points_cm[:, -1]
 
-    def take(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Self:
+    def take(self, which: BoolArray | IntArray) -> Self:
         """Those of a mask, or at these indices."""
         return type(self)(
             self.points_cm[which],
@@ -74,7 +74,7 @@ class Stems:
             self.mirrored,
         )
 
-    def followers(self) -> npt.NDArray[np.int64]:
+    def followers(self) -> IntArray:
         """Indices of the stems whose next entry is the same plant's next stem, one time step later."""
         return np.nonzero(
             (self.row[1:] == self.row[:-1] + 1)

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_common.errors import BadInput
 from flora_common.open_loop import PAPERS_TURNS, open_loop_side
 from flora_common.runs import LEVELS
@@ -63,7 +62,7 @@ def check_stems(simulator: Simulator[Any], task: Task) -> None:
 
 def _led(
     simulator: Simulator[Any], task: Task, individuals: Individuals
-) -> Iterator[tuple[float, FloatArray, npt.NDArray[np.bool_]]]:
+) -> Iterator[tuple[float, FloatArray, BoolArray]]:
     """Plants under such lamps, until each has ended: hours, stems (n, 10, 2) that have not, and which are a plant's.
 
     A stem that is none ends, too.

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_lab.figure_style import GRID
 
 
@@ -19,7 +18,7 @@ def generations(count: int) -> FloatArray:
     return np.arange(float(count))
 
 
-def draw_curve(ax: Axes, values: npt.NDArray[Any], **style: Any) -> Line2D:
+def draw_curve(ax: Axes, values: Array, **style: Any) -> Line2D:
     """A line through the values of all generations; a dot where there is only one."""
     marker = "o" if len(values) == 1 else ""
     (line,) = ax.plot(generations(len(values)), values, marker=marker, **style)

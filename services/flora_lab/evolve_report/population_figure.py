@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.evolve.evolution_folder import History
 from flora_lab.evolve_report.curves import draw_curve, generation_axis, generations
 from flora_lab.figure_style import BLUE, GREY, new_figure, png
@@ -17,7 +17,7 @@ BAND: Final = (10.0, 90.0)
 
 def population_figure(history: History) -> bytes:
     """Species, and hidden nodes and links of the generation's best genome: median over runs, and a band."""
-    panels: tuple[tuple[str, npt.NDArray[Any]], ...] = (
+    panels: tuple[tuple[str, Array], ...] = (
         ("species", history.species),
         ("hidden nodes of the best", history.nodes),
         ("links of the best", history.links),

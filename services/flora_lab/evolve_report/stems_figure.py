@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from flora_common.arrays import BoolArray, FloatArray
 from flora_lab import judging
 from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution
 from flora_lab.evolve.task import Task
@@ -74,7 +74,7 @@ def task_figure(task: Task) -> bytes:
     return png(figure)
 
 
-def lamp_spans(is_right: npt.NDArray[np.bool_], time_s: npt.NDArray[np.float64]) -> list[tuple[bool, float, float]]:
+def lamp_spans(is_right: BoolArray, time_s: FloatArray) -> list[tuple[bool, float, float]]:
     """Which lamp shone from when to when: (right or left, hours from the start, for how many hours).
 
     Args:

@@ -8,9 +8,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_common.runs import Light
 from flora_common.tracks import Track
 
@@ -102,7 +101,7 @@ def steering(time_s: FloatArray, light: Sequence[Light], tips_cm: FloatArray) ->
     )
 
 
-def _steady(is_lit: npt.NDArray[np.bool_], took_s: FloatArray) -> int:
+def _steady(is_lit: BoolArray, took_s: FloatArray) -> int:
     """The longest beginning, in steps, with the lamp lit for :data:`STEADY_SHARE` of its time, which ends lit."""
     share = np.cumsum(is_lit * took_s) / np.cumsum(took_s)
     rows = np.flatnonzero((share >= STEADY_SHARE) & is_lit)

@@ -7,12 +7,11 @@ interpolated linearly. So the light that it sees fits its own time: to play a re
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Generic
+from typing import ClassVar, Final, Generic
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_lab.rollout.predictors import check_dt
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator, StateT
 
@@ -87,7 +86,7 @@ class AtTimeScale(Simulator[Between[StateT]]):
         """See :meth:`Simulator.stems_cm`."""
         return state.stems_cm()
 
-    def is_beyond_data(self, state: Between[StateT]) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: Between[StateT]) -> Array:
         """See :meth:`Simulator.is_beyond_data`."""
         return self.simulator.is_beyond_data(state.inner)
 

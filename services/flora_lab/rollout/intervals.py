@@ -16,13 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, stdtrit
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 
 LEVEL: Final = 0.95
 RESAMPLES: Final = 4000
@@ -110,7 +109,7 @@ def ends(drawn: FloatArray, plants: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def resampled(plants: int, seed: int, times: int = RESAMPLES) -> npt.NDArray[Any]:
+def resampled(plants: int, seed: int, times: int = RESAMPLES) -> Array:
     """Plants drawn with replacement, as many as there are; shape (times, plants)."""
     return np.random.default_rng([seed, plants]).integers(plants, size=(times, plants))
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_common.errors import BadInput
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.measured import STEP_S
@@ -52,7 +51,7 @@ class NothingMoves(Simulator[FloatArray]):
         """See :meth:`Simulator.stems_cm`."""
         return state.copy()
 
-    def is_beyond_data(self, state: FloatArray) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: FloatArray) -> Array:
         """Never: it was made from no data."""
         return np.zeros(len(state), dtype=np.bool_)
 
@@ -113,7 +112,7 @@ class GoesOn(Simulator[Going]):
         """See :meth:`Simulator.stems_cm`."""
         return state.points_cm.copy()
 
-    def is_beyond_data(self, state: Going) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: Going) -> Array:
         """Never: it was made from no data."""
         return np.zeros(len(state.points_cm), dtype=np.bool_)
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray, IntArray
+from flora_common.arrays import Array, FloatArray, IntArray
 
 StateT = TypeVar("StateT")
 
@@ -104,7 +103,7 @@ class Simulator(ABC, Generic[StateT]):
         """
         return ()
 
-    def is_beyond_data(self, state: StateT) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: StateT) -> Array:
         """Which plants have come where the simulator was never shown any, shape (batch,), bool."""
         raise NotImplementedError
 

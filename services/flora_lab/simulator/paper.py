@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Float32Array, FloatArray
+from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_common.errors import BadInput
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
@@ -199,7 +198,7 @@ class PaperSimulator(Simulator[PaperState]):
         stems[:, 1:] = state.points.reshape(-1, STEM_POINTS - 1, 2).astype(np.float64) * self.unit_cm
         return stems
 
-    def is_beyond_data(self, state: PaperState) -> npt.NDArray[np.bool_]:
+    def is_beyond_data(self, state: PaperState) -> BoolArray:
         """Which plants have a coordinate outside of the box of the training inputs, shape (batch,)."""
         outside = (state.points < self.box.low) | (state.points > self.box.high)
         return np.asarray(outside.any(axis=1), dtype=np.bool_)

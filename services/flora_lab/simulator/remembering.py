@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Array, FloatArray
 from flora_common.errors import BadInput
 from flora_common.shapes import STEM_POINTS
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
@@ -111,7 +110,7 @@ class RememberingSimulator(Simulator[RememberingState]):
         """See :meth:`Simulator.stems_cm`."""
         return with_anchor(state.stems)
 
-    def is_beyond_data(self, state: RememberingState) -> npt.NDArray[Any]:
+    def is_beyond_data(self, state: RememberingState) -> Array:
         """Which plants have a coordinate outside of the box of the training inputs, shape (batch,)."""
         return self.learned.is_beyond_data(self.learned.start(self.stems_cm(state)))
 

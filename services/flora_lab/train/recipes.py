@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from flora_common.arrays import Array
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.store import Provenance
 from flora_lab.train.split import SplitName
@@ -56,7 +56,7 @@ class Trained:
 
     kind: str
     step_s: float
-    weights: Mapping[str, npt.NDArray[Any]]
+    weights: Mapping[str, Array]
     scales: Mapping[str, Any]
     provenance: Provenance
     figures: Mapping[str, bytes] = field(default_factory=dict)

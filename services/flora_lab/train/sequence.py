@@ -11,9 +11,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Array
+from flora_common.arrays import Array, BoolArray
 from flora_common.errors import BadInput
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.drives import DriveNoise
@@ -110,9 +109,7 @@ def prior_spread() -> Array:
     return spread
 
 
-def judge(
-    simulator: SequenceSimulator, runs: Sequence[MeasuredRun], held: npt.NDArray[np.bool_], plant: Array
-) -> HeldOut:
+def judge(simulator: SequenceSimulator, runs: Sequence[MeasuredRun], held: BoolArray, plant: Array) -> HeldOut:
     """Foretell each run from its first stem by the members that never saw its plant.
 
     Args:
@@ -151,7 +148,7 @@ def _settings(options: TrainOptions) -> SequenceSettings:
     )
 
 
-def _split(held: npt.NDArray[np.bool_]) -> str:
+def _split(held: BoolArray) -> str:
     if not held.any():
         return "fewer than three plants: none could be held out"
     counts = ", ".join(str(int(count)) for count in held.sum(axis=1))

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from flora_common.arrays import Array
+from flora_common.arrays import Array, BoolArray
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.recipes import Progress, generator
 from flora_lab.train.sequence_losses import CompiledLosses, Losses, TorchLosses
@@ -96,7 +95,7 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def held_out(plants: int, members: int, seed: int) -> npt.NDArray[np.bool_]:
+def held_out(plants: int, members: int, seed: int) -> BoolArray:
     """Which plants each member never learns from, shape (members, plants).
 
     With fewer than three plants none can be spared.

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from flora_common.arrays import Array
 from flora_lab.simulator.neural_law import (
     ANGLE_SCALE,
     FADE_CM,
@@ -83,7 +83,7 @@ class LawNet(nn.Module):
         share = (learned / learned.sum(1, keepdim=True)).unsqueeze(-1)
         return self.traits - (self.traits * share).sum(1, keepdim=True)
 
-    def law_weights(self) -> dict[str, npt.NDArray[Any]]:
+    def law_weights(self) -> dict[str, Array]:
         """For :class:`flora_lab.simulator.neural_law.NeuralLaw`."""
         names = ("w_ih", "w_hh", "b", "w_out", "b_out")
         return {name: getattr(self, name).detach().cpu().numpy().copy() for name in names}
@@ -203,7 +203,7 @@ def losses(net: LawNet, windows: Windows, traits: Tensor) -> Tensor:
     """
     kind, place = net.b.dtype, net.b.device
 
-    def tensor(array: npt.NDArray[Any]) -> Tensor:
+    def tensor(array: Array) -> Tensor:
         return torch.as_tensor(np.nan_to_num(array), device=place).to(kind)
 
     length = tensor(windows.length).expand(net.members, -1, -1)

@@ -8,11 +8,10 @@ from __future__ import annotations
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import nn
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import Float32Array, IntArray
 from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, PaperNetwork
 from flora_lab.train.fused_step import BETA_1, BETA_2, EPSILON, LEARNING_RATE
@@ -68,7 +67,7 @@ def train_epoch(
     optimiser: torch.optim.Optimizer,
     inputs: Float32Array,
     outputs: Float32Array,
-    order: npt.NDArray[np.int64],
+    order: IntArray,
     batch: int,
 ) -> float:
     """As :func:`flora_lab.train.fused_step.train_epoch`; returns the mean absolute error."""

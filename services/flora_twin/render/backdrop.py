@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_twin.box import Box, PinholeCamera
 from flora_twin.render import lighting, optics
 from flora_twin.render.sensor import COLOUR_MATRIX
@@ -41,9 +41,7 @@ class Ground:
     light: Float32Array
 
     @staticmethod
-    def of(
-        surfaces: Surfaces, part: npt.NDArray[np.bool_], light_cm: npt.NDArray[np.float64], light: Float32Array
-    ) -> Ground:
+    def of(surfaces: Surfaces, part: BoolArray, light_cm: FloatArray, light: Float32Array) -> Ground:
         """The pixels of a part of the picture, and what a light at a place gives them."""
         rows, columns = np.nonzero(part.any(axis=1))[0], np.nonzero(part.any(axis=0))[0]
         window = (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1))
@@ -161,7 +159,7 @@ def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32Array:
     return total
 
 
-def _pot_shadow(place_cm: Float32Array, lamp_cm: npt.NDArray[np.float64], box: Box) -> Float32Array:
+def _pot_shadow(place_cm: Float32Array, lamp_cm: FloatArray, box: Box) -> Float32Array:
     """1 where the lamp is seen, 0 where the pot stands between; soft because the lamp is wide."""
     step = lamp_cm - place_cm
     end = np.clip((_SHADING_RIM_CM - place_cm[..., 1]) / step[..., 1], 0.0, 1.0)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import Float32Array, FloatArray
 from flora_twin.box import Box
 from flora_twin.strips import LampLight
 
@@ -47,7 +47,7 @@ def lamp_at(place_cm: npt.NDArray[np.floating], which: int, box: Box) -> tuple[F
 
 
 def _point_light(
-    place_cm: npt.NDArray[np.floating], source_cm: npt.NDArray[np.float64], softened_cm2: float = 0.0
+    place_cm: npt.NDArray[np.floating], source_cm: FloatArray, softened_cm2: float = 0.0
 ) -> tuple[Float32Array, Float32Array]:
     offset = (source_cm - place_cm).astype(np.float32)
     r2 = np.einsum("...i,...i->...", offset, offset)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import FloatArray, IntArray
 
 STEM_STRIPS: Final = 6
 STEM_OWNER: Final = -1
@@ -40,7 +39,7 @@ class Mesh:
     normal: FloatArray
     albedo: FloatArray
     flat: FloatArray
-    owner: npt.NDArray[np.int64]
+    owner: IntArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import ByteArray, Float32Array
 
 JPEG_QUALITIES: Final = (85, 93)
 """Range of the JPEG quality, one for each box; Pi cameras are run at 85 to 93."""
@@ -75,7 +74,7 @@ class Sensor:
         if red != 1.0 or blue != 1.0:
             light *= np.array([blue, 1.0, red], np.float32)
 
-    def develop(self, light: Float32Array, exposure: Exposure, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    def develop(self, light: Float32Array, exposure: Exposure, rng: np.random.Generator) -> ByteArray:
         """An 8-bit picture (height, width, 3), blue, green, red, from light as exposed; overwrites ``light``.
 
         The tone curve is the square root (a gamma of 2), under which shot noise is even and read noise grows in the
@@ -91,7 +90,7 @@ class Sensor:
         noise = cv2.multiply(pool, size, scale=1.0 / (64.0 * 32.0), dtype=cv2.CV_16S)
         return np.asarray(cv2.add(flat, noise, dtype=cv2.CV_8U), dtype=np.uint8)
 
-    def encode(self, picture: npt.NDArray[np.uint8]) -> bytes:
+    def encode(self, picture: ByteArray) -> bytes:
         """A JPEG file."""
         done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])
         if not done:
@@ -99,7 +98,7 @@ class Sensor:
         return bytes(data.tobytes())
 
 
-def _noise_sizes(gain: float) -> npt.NDArray[np.uint8]:
+def _noise_sizes(gain: float) -> ByteArray:
     """Standard deviation of the noise for each 8-bit value, in 1/32 steps."""
     value = np.maximum(np.arange(256, dtype=np.float64), 6.0)
     shot = SHOT_NOISE * np.sqrt(gain)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_twin.box import Box
 from flora_twin.render import lighting, shadows
 from flora_twin.render.foliage import Foliage
@@ -72,7 +71,7 @@ def shade(foliage: Foliage, lit: Lit, leaf_gloss: float, eye_cm: FloatArray, box
     return np.asarray(diffuse * albedo + gloss[:, None] * mirrored, dtype=np.float64)
 
 
-def _received(front: FloatArray, flat: FloatArray, towards: npt.NDArray[np.float32]) -> FloatArray:
+def _received(front: FloatArray, flat: FloatArray, towards: Float32Array) -> FloatArray:
     """Share of a light that a face sends on, shape (n, 3).
 
     Stems are bright past their edge, blades let some light through.
@@ -85,7 +84,7 @@ def _received(front: FloatArray, flat: FloatArray, towards: npt.NDArray[np.float
     return np.asarray(np.where(flat[:, None] > 0, blade, round_stem[:, None]), dtype=np.float64)
 
 
-def _highlight(front: FloatArray, view: FloatArray, towards: npt.NDArray[np.float32]) -> FloatArray:
+def _highlight(front: FloatArray, view: FloatArray, towards: Float32Array) -> FloatArray:
     """Blinn's highlight, shape (n, 1), about 1 over a few degrees round the mirror's direction."""
     half = view + towards
     half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-6)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import Float32Array, FloatArray
+from flora_common.arrays import Float32Array, FloatArray, IntArray
 from flora_twin.render import mesh
 from flora_twin.render.foliage import Foliage
 from flora_twin.render.mesh import Leaf
@@ -23,7 +23,7 @@ _LEAST_PENUMBRA_CM: Final = 0.06
 def over_plant(
     blades: list[Leaf],
     places_cm: FloatArray,
-    owner: npt.NDArray[np.int64],
+    owner: IntArray,
     light_cm: FloatArray,
     light_radius_cm: float,
 ) -> FloatArray:

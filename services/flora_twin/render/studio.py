@@ -7,9 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Float32Array, FloatArray
+from flora_common.arrays import ByteArray, Float32Array, FloatArray
 from flora_twin.box import BOX, CAMERA, Box, PinholeCamera
 from flora_twin.render.backdrop import Backdrop, Ground
 from flora_twin.render.foliage import Subject, plant, stem_mesh
@@ -63,7 +62,7 @@ class Studio:
         tick: tuple[int, ...],
         *,
         knocked: bool = False,
-    ) -> npt.NDArray[np.uint8]:
+    ) -> ByteArray:
         """One picture, shape (height, width, 3), blue, green, red.
 
         Args:
@@ -85,18 +84,6 @@ class Studio:
             light = _knocked(light)
         self.sensor.balance(light, exposure)
         return self.sensor.develop(light, exposure, rng)
-
-    def photograph(
-        self,
-        lighting_now: Lighting,
-        exposure: Exposure,
-        subject: Subject | None,
-        tick: tuple[int, ...],
-        *,
-        knocked: bool = False,
-    ) -> bytes:
-        """The same as a JPEG file."""
-        return self.sensor.encode(self.picture(lighting_now, exposure, subject, tick, knocked=knocked))
 
     def visible(self, subject: Subject) -> FloatArray:
         """Share of the stem that is in view at each point of its centreline, shape (n,), 0 to 1.

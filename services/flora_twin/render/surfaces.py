@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from flora_twin.box import Box, PinholeCamera
 from flora_twin.render.cloth import crumpled, dust, relief, weave
 from flora_twin.render.decor import Decor, cloth_radius_cm
@@ -29,7 +28,7 @@ class Front:
         depth_cm: distance from the camera, along its axis, of what is just hidden.
     """
 
-    edge_px: npt.NDArray[np.float64]
+    edge_px: FloatArray
     depth_cm: float
 
 
@@ -50,7 +49,7 @@ class Surfaces:
     place_cm: Float32Array
     normal: Float32Array
     albedo: Float32Array
-    kind: npt.NDArray[np.uint8]
+    kind: ByteArray
     glow: Float32Array
     front: Front
     decor: Decor
@@ -104,9 +103,9 @@ def see_box(camera: PinholeCamera, box: Box, seed: int) -> Surfaces:
 
 def _add_cone(
     ray: Float32Array,
-    eye: npt.NDArray[np.float64],
+    eye: FloatArray,
     depth: Float32Array,
-    kind: npt.NDArray[np.uint8],
+    kind: ByteArray,
     normal: Float32Array,
     span_cm: tuple[float, float],
     radius_cm: float,
@@ -114,8 +113,8 @@ def _add_cone(
     what: int,
     *,
     inner: bool = False,
-    centre: npt.NDArray[np.float64] | None = None,
-) -> npt.NDArray[np.bool_]:
+    centre: FloatArray | None = None,
+) -> BoolArray:
     """An upright cone mantle of radius ``radius_cm + slope * y``, or its inside; returns the pixels that it covers."""
     cx, cz = (0.0, 0.0) if centre is None else (float(centre[0]), float(centre[2]))
     ox, oz = float(eye[0]) - cx, float(eye[2]) - cz
@@ -140,9 +139,9 @@ def _add_cone(
 
 def _add_liner(
     ray: Float32Array,
-    eye: npt.NDArray[np.float64],
+    eye: FloatArray,
     depth: Float32Array,
-    kind: npt.NDArray[np.uint8],
+    kind: ByteArray,
     normal: Float32Array,
     decor: Decor,
     camera: PinholeCamera,
@@ -175,9 +174,7 @@ def _front(decor: Decor, camera: PinholeCamera, box: Box) -> Front:
     return Front(np.concatenate([edge, below]), float(camera.position_cm[2] - radius))
 
 
-def _ruffle(
-    normal: Float32Array, place: Float32Array, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator
-) -> None:
+def _ruffle(normal: Float32Array, place: Float32Array, kind: ByteArray, decor: Decor, rng: np.random.Generator) -> None:
     """Tip the normals of the cloths by their folds."""
     on_wall = np.ascontiguousarray(place[..., :2])
     # The wall is square to the camera: its x depends on the column only, its y on the row only.
@@ -198,14 +195,14 @@ def _ruffle(
         normal[cloth] /= np.linalg.norm(normal[cloth], axis=1, keepdims=True)
 
 
-def _along(value: Float32Array, known: npt.NDArray[np.bool_]) -> Float32Array:
+def _along(value: Float32Array, known: BoolArray) -> Float32Array:
     """Continue evenly spaced values over a line where only some are known."""
     at = np.nonzero(known)[0]
     step = (value[at[-1]] - value[at[0]]) / (at[-1] - at[0])
     return np.asarray(value[at[0]] + step * (np.arange(len(value)) - at[0]), dtype=np.float32)
 
 
-def _albedo(place: Float32Array, kind: npt.NDArray[np.uint8], decor: Decor, rng: np.random.Generator) -> Float32Array:
+def _albedo(place: Float32Array, kind: ByteArray, decor: Decor, rng: np.random.Generator) -> Float32Array:
     """Reflectance in blue, green and red: cloth, dust, soil crumbs and a plastic pot."""
     shape = kind.shape
     texture = weave((shape[0], shape[1]), rng)
@@ -238,7 +235,7 @@ def _albedo(place: Float32Array, kind: npt.NDArray[np.uint8], decor: Decor, rng:
 def _cables(
     albedo: Float32Array,
     normal: Float32Array,
-    kind: npt.NDArray[np.uint8],
+    kind: ByteArray,
     camera: PinholeCamera,
     box: Box,
     rng: np.random.Generator,
@@ -266,7 +263,7 @@ def _cables(
             normal[there] = np.array([0.0, lean, 1.0]) / np.hypot(1.0, lean)
 
 
-def _coil(place: Float32Array, lamp: npt.NDArray[np.float64], glow: Float32Array, albedo: Float32Array) -> None:
+def _coil(place: Float32Array, lamp: FloatArray, glow: Float32Array, albedo: Float32Array) -> None:
     """The strip in turns round a dark tube: pale tape with diodes."""
     body = glow > 0
     p = place[body] - lamp.astype(np.float32)

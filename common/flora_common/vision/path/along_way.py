@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
-from flora_common.geometry import arc_length
+from flora_common.geometry import arc_length, unit
 from flora_common.vision.path import across, curve, doubts
 from flora_common.vision.path.apex import drawn_to
 from flora_common.vision.path.chain import RIVAL_CM, Before
@@ -129,8 +129,7 @@ def stem_along(way: Way, sampler: Sampler, px_per_cm: float) -> tuple[Stem, Tip]
         apex = 0.5 * (apex + by_rules)
     rest = drawn_to(line, apex, MEASURED_TO_CM * px_per_cm)[s > upto + STEP_PX]
     places = rest if len(rest) else apex[None]
-    heading = places[-1] - (places[-3] if len(places) > 2 else stem.line[-1])
-    heading = heading / max(1e-9, float(np.hypot(*heading)))
+    heading = unit(places[-1] - (places[-3] if len(places) > 2 else stem.line[-1]))
     onwards = places[-1] + np.arange(1.0, ONWARDS_CM * px_per_cm)[:, None] * heading
     error = (APEX_ERROR_CM + UNSURE_ERROR_CM * (1.0 - way.sure) ** 2) * px_per_cm
     tip = Tip(safe, places, onwards, True, error)
@@ -148,10 +147,8 @@ def end_of(way: Way, px_per_cm: float) -> FloatArray:
     """
     s = arc_length(way.line_px)
     before = places_along(way.line_px, s, np.array([max(0.0, float(s[-1]) - HEADING_CM * px_per_cm)]))[0]
-    heading = way.tip_px - before
     short_cm = SHORT_CM * min(1.0, max(0.0, (way.sure - SHORT_FROM) / (SHORT_WHOLE - SHORT_FROM)))
-    forward = heading / max(1e-9, float(np.hypot(*heading)))
-    return np.asarray(way.tip_px + short_cm * px_per_cm * forward, dtype=np.float64)
+    return np.asarray(way.tip_px + short_cm * px_per_cm * unit(way.tip_px - before), dtype=np.float64)
 
 
 def _width(line: FloatArray, s: FloatArray, sampler: Sampler, px_per_cm: float) -> float:

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
-from flora_common.geometry import distance_to_polyline_cm
+from flora_common.geometry import distance_to_polyline_cm, unit
 from flora_common.runs import CameraSection
 from flora_common.vision.path.links import PLANT_GAP_COST, SHORT_GAP_CM, TURN_COST, covered, links_between
-from flora_common.vision.path.nodes import Node, angle, unit, upper_median
+from flora_common.vision.path.nodes import Node, angle, upper_median
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.strands import End, Strand, Strands, part
 from flora_common.vision.path.survey import nearest_in_window, window_box

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from flora_common.arrays import ByteArray, Float32Array, FloatArray
-from flora_common.geometry import arc_length
+from flora_common.geometry import arc_length, unit
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path.chain import Chain
@@ -53,7 +53,7 @@ BEYOND_CM, BESIDE_CM, PLACE_CM = (0.6, 1.6), 1.0, 0.1
 """The board beyond an end: how far ahead, how far to either side, and how far apart it is looked at."""
 NOT_THE_BOARD: Final = 2.5
 """Code units, some 3 %, by which it differs in any colour where something stands before it. Of a hundred good pictures
-the most was 1.6; six hands that hid a stem's upper part, each on a board as dark as it, had 3.3 to 29."""
+the most was 1.6; eleven hands that hid a stem's upper part had 3.3 to 29."""
 ERROR_OF_MEDIAN, ERRORS = 1.858, 4.0
 """Standard error of a median, times the root of the number, over the median deviation (of a normal distribution); and
 how many of them it must be off by, for noise in the dark has several code units."""
@@ -194,8 +194,7 @@ def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_
 def _heading(line: FloatArray, px_per_cm: float) -> FloatArray:
     """Where the last piece of a line leads, of length 1."""
     s = arc_length(line)
-    way = line[-1] - line[int(np.searchsorted(s, s[-1] - HEADING_CM * px_per_cm))]
-    return np.asarray(way / max(1e-9, float(np.hypot(*way))))
+    return unit(line[-1] - line[int(np.searchsorted(s, s[-1] - HEADING_CM * px_per_cm))])
 
 
 def touching_px(strands: Strands, camera: CameraSection) -> float:

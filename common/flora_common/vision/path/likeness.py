@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import Float32Array
+from flora_common.arrays import BoolArray, Float32Array
 from flora_common.vision.lamp_states import COARSE, EmptySetup
 from flora_common.vision.path.survey import Survey, median
 from flora_common.vision.picture import Picture
@@ -121,8 +121,8 @@ OF_FRAMES: Final = Demands(changed=0.15, correlation=-1.0, worst_band=-1.0, gain
 """A setup learnt from the plant's own pictures has ghosts of it."""
 
 
-_Telling = tuple[npt.NDArray[np.intp], Float32Array, Float32Array]
-"""Of a lamp state: which squares have structure, their structure, and its power."""
+_Telling = tuple[npt.NDArray[np.intp], Float32Array, Float32Array, Float32Array]
+"""Of a lamp state: which squares have structure, their structure, its power, and the structure of the whole."""
 
 
 class SetupLikeness:
@@ -135,16 +135,14 @@ class SetupLikeness:
 
     def __init__(self, setup: EmptySetup, anchor_y_px: float) -> None:
         self._states: list[_Telling | None] = []
-        self._whole: list[Float32Array] = []
         for state in setup.states:
             whole, grain = _structure(state.coarse)
-            self._whole.append(whole)
             squares, noise = _squares(whole), _noise(grain)
             power = (squares**2).mean(axis=1)
             order = np.argsort(-power, kind="stable")[: max(LEAST_SQUARES, round(TELLING * len(power)))]
             order = order[power[order] > np.maximum(LEAST_STRUCTURE**2, OVER_NOISE * noise[order])]
             known = len(order) >= LEAST_SQUARES
-            self._states.append((order, squares[order], power[order]) if known else None)
+            self._states.append((order, squares[order], power[order], whole) if known else None)
         width, height = setup.size_px
         self._side, self._rows, self._columns = _grid(max(1, height // REDUCED), max(1, width // REDUCED))
         self._rows_above = int(anchor_y_px // (self._side * REDUCED))
@@ -166,18 +164,16 @@ class SetupLikeness:
                 key=lambda one: one.correlation + one.worst_band - one.elsewhere,
                 default=Likeness(),
             )
-        known = self._states[survey.number] is not None
-        moved = _distance(self._whole[survey.number], whole) if known else 0.0
+        telling = self._states[survey.number]
+        moved = _distance(telling[3], whole) if telling is not None else 0.0
         return replace(likely, uneven=_largest_step(survey.slow), moved=moved)
 
-    def _one(
-        self, number: int, squares: Float32Array, noise: Float32Array, hidden: npt.NDArray[np.bool_]
-    ) -> Likeness | None:
+    def _one(self, number: int, squares: Float32Array, noise: Float32Array, hidden: BoolArray) -> Likeness | None:
         """Likeness to one lamp state; None where that has no structure."""
         telling = self._states[number]
         if telling is None:
             return None
-        order, empty, power = telling
+        order, empty, power, _ = telling
         here = squares[order]
         common = (here * empty).mean(axis=1)
         own = (here**2).mean(axis=1)
@@ -191,7 +187,7 @@ class SetupLikeness:
             self._worst_band(correlation[bare], order[bare]),
         )
 
-    def _hidden(self, survey: Survey) -> npt.NDArray[np.bool_]:
+    def _hidden(self, survey: Survey) -> BoolArray:
         """For each square, whether plant stands before it."""
         out = np.zeros((self._rows, self._columns), dtype=np.bool_)
         y, x = np.nonzero(survey.plant[::2, ::2])
@@ -218,13 +214,12 @@ def _largest_step(slow: Float32Array) -> float:
 
 def _distance(empty: Float32Array, here: Float32Array) -> float:
     """How far a picture's structure lies from the empty setup's, in its widths; 0 where it is not found."""
-    reach = SEARCHED
-    margins = cv2.copyMakeBorder(empty, *(4 * (reach,)), cv2.BORDER_CONSTANT, value=0.0)
+    margins = cv2.copyMakeBorder(empty, *(4 * (SEARCHED,)), cv2.BORDER_CONSTANT, value=0.0)
     likeness = np.asarray(cv2.matchTemplate(margins, here, cv2.TM_CCORR_NORMED), dtype=np.float32)
     _, most, _, (x, y) = cv2.minMaxLoc(likeness)
-    if most < FOUND or 1.0 - float(likeness[reach, reach]) < BETTER * (1.0 - most):
+    if most < FOUND or 1.0 - float(likeness[SEARCHED, SEARCHED]) < BETTER * (1.0 - most):
         return 0.0
-    return math.hypot(_peak(likeness[y], x) - reach, _peak(likeness[:, x], y) - reach) / int(here.shape[1])
+    return math.hypot(_peak(likeness[y], x) - SEARCHED, _peak(likeness[:, x], y) - SEARCHED) / int(here.shape[1])
 
 
 def _peak(values: Float32Array, greatest: int) -> float:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
-from flora_common.geometry import arc_length
+from flora_common.geometry import arc_length, unit
 from flora_common.runs import CameraSection
 from flora_common.vision.path.sampler import places_along
 from flora_common.vision.path.strands import End, Strand
@@ -64,7 +64,7 @@ def goes_over(line_px: FloatArray, strength: float, pieces: Sequence[Strand], ca
     even = places_along(line_px, s, np.arange(0.0, float(s[-1]), EVERY_CM * scale))
     return _steps_aside(even) or any(
         float(np.median(piece.strength)) > LEADS_ALIKE * strength
-        and _is_along(even, _up_from(piece.points, [other.points for other in pieces], scale), scale)
+        and _is_along(even, _up_from(piece.points, pieces, scale), scale)
         for piece in _rising(line_px, pieces, camera, LEADS_RISES_CM, LEADS_FOOT_CM)
     )
 
@@ -89,19 +89,21 @@ def _rising(
             yield low
 
 
-def _up_from(stem_px: FloatArray, pieces_px: Iterable[FloatArray], px_per_cm: float) -> FloatArray:
+def _up_from(stem_px: FloatArray, pieces: Iterable[Strand], px_per_cm: float) -> FloatArray:
     """A piece of stem with those that go on from its top, one after the other: leaves hide parts of it."""
-    left = {number: (piece, piece[::-1]) for number, piece in enumerate(pieces_px)}
+    reach_px = HEADING_CM * px_per_cm
+    left = {
+        number: [(way, _leads(way, reach_px)) for way in (piece.points, piece.points[::-1])]
+        for number, piece in enumerate(pieces)
+    }
     while True:
-        top = stem_px[-1]
-        ahead = _direction(_within(stem_px[::-1], HEADING_CM * px_per_cm)[-1], top)
+        top, ahead = stem_px[-1], -_leads(stem_px[::-1], reach_px)
         following = []
         for number, ways in left.items():
-            for way in ways:
+            for way, leads in ways:
                 off = way[0] - top
                 far, aside = float(off @ ahead), abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
-                goes = _direction(way[0], _within(way, HEADING_CM * px_per_cm)[-1])
-                if 0.0 < far < NEXT_CM * px_per_cm and aside < NEXT_OFF_CM * px_per_cm and goes @ ahead > NEXT_TURN:
+                if 0.0 < far < NEXT_CM * px_per_cm and aside < NEXT_OFF_CM * px_per_cm and leads @ ahead > NEXT_TURN:
                     following.append((far, number, way))
         if not following:
             return stem_px
@@ -110,20 +112,15 @@ def _up_from(stem_px: FloatArray, pieces_px: Iterable[FloatArray], px_per_cm: fl
         del left[number]
 
 
-def _within(points_px: FloatArray, reach_px: float) -> FloatArray:
-    """The first of them, up to so far from where they begin."""
-    return np.asarray(points_px[np.hypot(*(points_px - points_px[0]).T) <= reach_px])
-
-
-def _direction(start: FloatArray, end: FloatArray) -> FloatArray:
-    """From one place to another, of length 1; nothing where they are one."""
-    way = end - start
-    return np.asarray(way / max(1e-9, float(np.hypot(*way))))
+def _leads(points_px: FloatArray, reach_px: float) -> FloatArray:
+    """Where the first of them lead, up to so far from where they begin, of length 1."""
+    near = points_px[np.hypot(*(points_px - points_px[0]).T) <= reach_px]
+    return unit(near[-1] - near[0])
 
 
 def _is_along(even_px: FloatArray, stem_px: FloatArray, px_per_cm: float) -> bool:
     """Whether a line, told every :data:`EVERY_CM`, goes along a stem, or along where that leads from its top."""
-    onwards = np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * _direction(stem_px[0], stem_px[-1])
+    onwards = np.arange(0.0, LEADS_CM * px_per_cm, 2.0)[:, None] * unit(stem_px[-1] - stem_px[0])
     places = np.concatenate([stem_px[::2], stem_px[-1] + onwards])
     away = np.hypot(*(even_px[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
     return bool(np.count_nonzero(away < ALONG_CM * px_per_cm) * EVERY_CM > ALONG_FOR_CM)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
+from flora_common.geometry import unit
 from flora_common.vision.path.strands import Strand
 
 DIRECTION_OVER_CM: Final = 0.7
@@ -96,10 +97,6 @@ def upper_median(v: FloatArray) -> float:
     ordered = v.copy()
     ordered.sort()
     return float(ordered[len(v) // 2])
-
-
-def unit(v: FloatArray) -> FloatArray:
-    return np.asarray(v / max(1e-9, float(np.hypot(v[0], v[1]))), dtype=np.float64)
 
 
 def angle(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -7,9 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import Float32Array, FloatArray
 from flora_common.vision.path.evidence import Evidence
 
 ROW_PX: Final = 1024
@@ -63,12 +62,12 @@ class Sampler:
         """1 where it is as green as a stem at places (..., 2), 0 where it is as much greener as leaves are."""
         return np.clip((green + LEAF_GREENER[1] - self.green(places)) / (LEAF_GREENER[1] - LEAF_GREENER[0]), 0.0, 1.0)
 
-    def _at(self, values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray) -> FloatArray:
+    def _at(self, values: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray:
         return values_at(values, x, y, self._origin)
 
 
 def values_at(
-    values: npt.NDArray[np.float32], x: FloatArray, y: FloatArray, origin: Sequence[float] | FloatArray = (0.0, 0.0)
+    values: Float32Array, x: FloatArray, y: FloatArray, origin: Sequence[float] | FloatArray = (0.0, 0.0)
 ) -> FloatArray:
     """Values at places, linear between pixels and 0 outside; shape of ``x``.
 

@@ -8,13 +8,12 @@ done for the whole picture, whatever part of it is looked at more closely afterw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from flora_common.arrays import ByteArray, Float32Array, FloatArray, Int16Array
+from flora_common.arrays import Array, ByteArray, Float32Array, FloatArray, Int16Array
 from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE, EmptySetup, LampState, coarse_code
@@ -245,7 +244,7 @@ def noise_of(score: Float32Array) -> float:
     return max(0.8, float(median(score[::3, ::3].ravel())) / 1.4)
 
 
-def median(values: npt.NDArray[Any]) -> FloatArray:
+def median(values: Array) -> FloatArray:
     """The median over the last axis, in a tenth of the time that numpy's own takes."""
     ordered = np.sort(values, axis=-1)
     count = ordered.shape[-1]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import ByteArray
+from flora_common.arrays import BoolArray, ByteArray
 
 # The eight neighbours, clockwise from the upper left, as bits 0 to 7.
 _NORTH, _EAST, _SOUTH, _WEST = 1, 3, 5, 7
@@ -24,7 +24,7 @@ def neighbour_offsets(width: int) -> npt.NDArray[np.intp]:
     return np.array([-width - 1, -width, -width + 1, 1, width + 1, width, width - 1, -1], dtype=np.intp)
 
 
-def _deletable(first: bool) -> npt.NDArray[np.bool_]:
+def _deletable(first: bool) -> BoolArray:
     table = np.zeros(256, dtype=np.bool_)
     for pattern in range(256):
         bit = [(pattern >> k) & 1 for k in range(8)]
@@ -35,7 +35,7 @@ def _deletable(first: bool) -> npt.NDArray[np.bool_]:
     return table
 
 
-def _corner() -> npt.NDArray[np.bool_]:
+def _corner() -> BoolArray:
     """Patterns whose middle only thickens a line: without it the neighbours hang together as they did.
 
     The connectivity number of Yokoi et al. 1975 for 8 neighbours is 1 there.
