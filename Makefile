@@ -75,8 +75,8 @@ format: setup  ## put the code into its form
 messages: setup  ## write the message reference page and JSON Schema from the catalogue
 	@$(BIN)/python -m flora_common.messages docs/reference
 
-docs: messages  ## write all pages and pictures that are made from the code: messages, configuration, power budget, box, wiring
-	@for script in configuration power box wiring; do $(BIN)/python docs/generate/$$script.py || exit 1; done
+docs: messages  ## write all pages and pictures that are made from the code: messages, configuration, causes, power budget, box, wiring
+	@for script in configuration causes power box wiring; do $(BIN)/python docs/generate/$$script.py || exit 1; done
 
 fuzz: setup  ## a million malformed frames against the services
 	@FLORA_FUZZ=1000000 $(BIN)/python -m pytest tests/rig/test_bus_fuzz.py

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -55,6 +55,23 @@ _RESTARTS: Final = 2
 _BADLY: Final = 1.5
 
 
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    """Where a search has come to.
+
+    Attributes:
+        joint: the runs, whitened for what was found.
+        found: the causes but for a swing, fitted.
+        swing: of the tip, where it is one of the causes.
+        accepted: all causes, and how each was come to.
+    """
+
+    joint: Joint
+    found: Found
+    swing: Swing | None = None
+    accepted: tuple[Accepted, ...] = ()
+
+
 class Explainer:
     """Looks for causes.
 
@@ -80,45 +97,50 @@ class Explainer:
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
         alone, joint, null = self._begun()
-        swing: Swing | None = None
-        found = null
+        reached = _Reached(joint, null)
         stages: list[Stage] = []
-        accepted: list[Accepted] = []
+        taken: list[str] = []
         while len(stages) <= MOST_CAUSES:
-            stage = self._settled(joint, found, swing, _RESTARTS if not stages else 1)
-            if not stages:
-                null = stage.before
-            best = stage.tried[0]
+            stage = self._settled(reached.joint, reached.found, reached.swing, _RESTARTS if not stages else 1)
             stages.append(stage)
-            if (
-                best.gain < self._needed(stage, accepted)
-                or len(accepted) == MOST_CAUSES
-                or self._is_outdone(stage, accepted)
-            ):
+            reached = replace(reached, found=stage.before)
+            if not self._is_worth_taking(stage, reached.accepted):
                 break
-            accepted.append(Accepted(best, stage))
-            if best.swing is not None:
-                swing = best.swing
-                joint = self._joint(swing)
-                null = joint.fit(_side_by_side(alone))
-                found = self._pruned(joint, joint.fit(_started(found)), accepted)
-            elif best.found is not None:
-                found = self._pruned(joint, best.found, accepted)
-                self._answer(found)
-                if swing is not None and self._swing(found).gain < self.claim:
-                    # What seemed to swing was this cause.
-                    swing = None
-                    accepted[:] = [one for one in accepted if one.tried.swing is None]
-                joint = self._joint(swing)
-                found = joint.fit(_started(found))
-                if not _is_worth_a_name(found):
-                    # With what chance does about it, the last cause is next to nothing.
-                    last = accepted.pop().tried.effect.name
-                    found = joint.fit(_without(found, last))
-                    break
+            further = self._with_the_best(reached, stage)
+            if further is None:
+                break
+            taken.append(stage.tried[0].effect.name)
+            reached = further
+        joint, swing, accepted = reached.joint, reached.swing, reached.accepted
+        null = stages[0].before if swing is None else joint.fit(_side_by_side(alone))
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        return Explanation(null, found, swing, tuple(stages), tuple(accepted), joint, first, beside)
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, tuple(taken), beside)
+
+    def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
+        """Whether the best cause of a stage is one."""
+        is_enough = stage.tried[0].gain >= self._needed(stage, accepted)
+        return is_enough and len(accepted) < MOST_CAUSES and not self._is_outdone(stage, accepted)
+
+    def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | None:
+        """With the best cause of a stage besides; None where it comes to next to nothing."""
+        best, swing = stage.tried[0], reached.swing
+        accepted = [*reached.accepted, Accepted(best, stage)]
+        if best.swing is not None:
+            joint = self._joint(best.swing)
+            found = self._pruned(joint, joint.fit(_started(reached.found)), accepted)
+            return _Reached(joint, found, best.swing, tuple(accepted))
+        assert best.found is not None
+        found = self._pruned(reached.joint, best.found, accepted)
+        self._answer(found)
+        if swing is not None and self._swing(found).gain < self.claim:
+            # What seemed to swing was this cause.
+            swing = None
+            accepted = [one for one in accepted if one.tried.swing is None]
+        joint = self._joint(swing)
+        found = joint.fit(_started(found))
+        # With what chance does about it, it may be next to nothing, and what it made worthless is not.
+        return _Reached(joint, found, swing, tuple(accepted)) if _is_worth_a_name(found) else None
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""

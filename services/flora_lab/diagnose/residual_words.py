@@ -24,6 +24,8 @@ _MAINLY: Final = 1.35
 """A time is named if its residual is so many times the mean over all times."""
 _GROWS: Final = 1.7
 _FLAT: Final = 0.6
+RARE: Final = 0.002
+"""Chance that needs no words besides: where nothing is wrong with hundreds of sets of runs, none shows as much."""
 _STORIES: Final[tuple[tuple[Group, ...], ...]] = (("sideways", "lean"), ("growth",), ("height",), ("swing",))
 """Groups of numbers that one sentence tells."""
 
@@ -73,6 +75,11 @@ def p_text(p_value: float) -> str:
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
 
 
+def one_in(p_value: float) -> str:
+    """What a p-value that is not very small means: that chance comes to as much, too."""
+    return f": one set of healthy runs in {1.0 / p_value:.0f} shows as much" if p_value > RARE else ""
+
+
 def _size(looks: Looks, runs: Sequence[Replayed]) -> str:
     """How far off the tip is, and how far off it is in reference runs."""
     here = {p: rms(np.concatenate([np.hypot(*run.error_mm(p)[:, -1].T) for run in runs])) for p in PLANTS}
@@ -95,7 +102,7 @@ def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> li
     limit = looks.compared.remarkable if looks.compared is not None else 1.0
     out = []
     for rank, k in enumerate(order[:2]):
-        if scores[k] < (limit if rank or not is_significant else 0.0):
+        if scores[k] < limit:
             break
         story = _STORIES[k]
         if "sideways" in story:
@@ -110,6 +117,8 @@ def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> li
             beside = "Beside the typical plant," if looks.clearer_plant == "typical" else "Even then,"
             said = f"{beside} {said[0].lower()}{said[1:]}"
         out.append(said)
+    if is_significant and not out:
+        out.append("No time, place or rhythm stands out: it is the course of the stems as a whole that differs.")
     return out
 
 
@@ -127,6 +136,14 @@ def _score(looks: Looks, story: Sequence[Group]) -> float:
 def _means(numbers: Array, group: Group) -> Array:
     """Over runs; 0 where no run tells."""
     return np.nan_to_num(statistics.mean_over_runs(numbers[:, statistics.of_group(group)]))
+
+
+def _clearest(looks: Looks, group: Group, means: Array) -> int:
+    """Which number of a group stands out most; without reference runs the largest."""
+    if looks.compared is None:
+        return int(np.argmax(np.abs(means)))
+    away = looks.compared.away.reshape(len(PLANTS), -1)[PLANTS.index(looks.clearer_plant)]
+    return int(np.argmax(np.nan_to_num(np.abs(away[statistics.of_group(group)]))))
 
 
 def _differ(looks: Looks, group: Group) -> str:
@@ -204,9 +221,9 @@ def _faster(value: float) -> str:
 
 def _height(looks: Looks) -> str:
     by_day = _means(looks.numbers[looks.clearer_plant], "height")
-    last = float(by_day[-1]) if by_day[-1] else float(by_day[0])
-    way = "higher" if last > 0 else "lower"
-    return f"The tip is {mm(abs(last))} {way} than simulated by the last day{_differ(looks, 'height')}."
+    day = _clearest(looks, "height", by_day)
+    way = "higher" if by_day[day] > 0 else "lower"
+    return f"The tip is {mm(abs(by_day[day]))} {way} than simulated on day {day + 1}{_differ(looks, 'height')}."
 
 
 def _swing(runs: Sequence[Replayed]) -> str:
@@ -224,4 +241,4 @@ def _verdict(looks: Looks, is_significant: bool) -> str:
         return f"That is {more} than the simulator's own chance makes of it ({p})."
     if not is_significant:
         return f"Taken as a whole, that is no more than plants and chance make of it ({p})."
-    return f"That is more than plants and chance make of it ({p})."
+    return f"That is more than plants and chance make of it ({p}{one_in(looks.p_value)})."

@@ -7,6 +7,8 @@ from typing import Final
 
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.explanation import Explanation
+from flora_lab.diagnose.residual_words import one_in, p_text
+from flora_lab.diagnose.residuals import SIGNIFICANT
 from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME
@@ -31,8 +33,18 @@ def nearest(explanation: Explanation) -> str:
     )
 
 
-def summary(causes: Sequence[NamedCause], left: Left, next_best: str = "") -> str:
-    """What was found; where nothing is wrong, with what came nearest to a name, see :func:`nearest`."""
+def summary(
+    causes: Sequence[NamedCause], left: Left, next_best: str = "", dropped: Sequence[str] = (), p_value: float = 1.0
+) -> str:
+    """What was found.
+
+    Args:
+        causes: that are named.
+        left: unexplained.
+        next_best: where nothing is wrong, what came nearest to a name, see :func:`nearest`.
+        dropped: effects that were taken for causes before others made them worthless.
+        p_value: of the residuals, all runs taken as wholes.
+    """
     if not causes:
         if left.unnamed is not None:
             return f"Something is at work that is not in the catalogue. A description that fits: {left.unnamed.words}."
@@ -41,13 +53,21 @@ def summary(causes: Sequence[NamedCause], left: Left, next_best: str = "") -> st
                 "The runs differ from the simulation by more than chance, and by nothing in the catalogue: what is "
                 f"left is {left.share:.1f} times what reference runs leave."
             )
+        return " ".join(filter(None, [_nothing(p_value), next_best]))
+    told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes) + "."
+    if left.unnamed is not None:
+        told += f" But something else is at work. A description that fits: {left.unnamed.words}."
+    elif left.is_much:
+        told += f" But much is left: {left.share:.1f} times what reference runs leave. Something else is at work."
+    return " ".join([told, *(f"{title(name)} seemed to be there, and is not needed beside that." for name in dropped)])
+
+
+def _nothing(p_value: float) -> str:
+    if p_value > SIGNIFICANT:
         return (
             "Nothing is wrong: the runs differ from the simulation by no more than chance and individuals make of it."
-            + (f" {next_best}" if next_best else "")
         )
-    told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes)
-    if left.unnamed is not None:
-        return f"{told}. But something else is at work. A description that fits: {left.unnamed.words}."
-    if left.is_much:
-        return f"{told}. But much is left: {left.share:.1f} times what reference runs leave. Something else is at work."
-    return f"{told}."
+    return (
+        "Nothing is found: the runs are unusual as a whole "
+        f"({p_text(p_value)}{one_in(p_value)}), but by nothing that has enough evidence."
+    )

@@ -192,7 +192,7 @@ def diagnose(
         residuals=_with_left(said, left, explanation, start.known),
         gain=gain,
         next_experiment=asked,
-        summary=summary(causes, left, nearest(explanation)),
+        summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"]),
         described=_described(left),
         record=list(runs.notes),
         runs=[files.shown(track.file) for track in runs.tracks],

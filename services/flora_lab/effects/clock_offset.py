@@ -14,7 +14,8 @@ def act(change: Change, v: Values) -> None:
 
 def sentence(v: Values) -> str:
     """What it means."""
-    return f"what the lamps did shows {v['offset_h']:+.2f} h after the record says that they did it"
+    when = "after" if v["offset_h"] > 0 else "before"
+    return f"what the lamps did shows {abs(v['offset_h']):.2f} h {when} the record says that they did it"
 
 
 EFFECT: Final = Effect(
@@ -28,7 +29,7 @@ EFFECT: Final = Effect(
             low=-1.3,
             high=1.3,
             scale="linear",
-            meaning="hours by which lamps acted after their record says so",
+            meaning="hours by which lamps acted later than their record says; below 0: earlier",
             source="half an hour is a forgotten time zone; a slow boot is less",
             starts=(-0.4, 0.4),
             least=0.1,

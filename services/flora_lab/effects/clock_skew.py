@@ -14,8 +14,9 @@ def act(change: Change, v: Values) -> None:
 
 def sentence(v: Values) -> str:
     """What it means."""
-    minutes = 60.0 * v["per_hour"]
-    return f"what the lamps did shows ever later than their record: {minutes:+.1f} minutes more with every hour"
+    when = "later" if v["per_hour"] > 0 else "earlier"
+    minutes = 60.0 * abs(v["per_hour"])
+    return f"what the lamps did shows ever {when} than the record says: by {minutes:.1f} minutes more with every hour"
 
 
 EFFECT: Final = Effect(
@@ -29,7 +30,7 @@ EFFECT: Final = Effect(
             low=-0.05,
             high=0.05,
             scale="linear",
-            meaning="hours by which the record of the lamps falls behind, per hour",
+            meaning="hours by which lamps act ever later than their record says, per hour; below 0: ever earlier",
             source="a bad oscillator; a computer that sleeps",
             starts=(-0.015, 0.015),
             least=0.1 / 72.0,
