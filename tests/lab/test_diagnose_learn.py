@@ -115,7 +115,15 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     assert twice[0].swings.power.tobytes() == twice[1].swings.power.tobytes()
 
 
-@pytest.mark.parametrize("forms", [{}, {"side_alone": SIDE_ALONE}, {"even_light": EVEN_LIGHT}])
+@pytest.mark.parametrize(
+    "forms",
+    [
+        {},
+        {"side_alone": SIDE_ALONE},
+        {"even_light": EVEN_LIGHT},
+        {"side_alone": SIDE_ALONE, "even_light": EVEN_LIGHT},
+    ],
+)
 def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> None:
     change = Change()
     for term in forms.values():

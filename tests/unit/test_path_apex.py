@@ -174,3 +174,14 @@ def test_what_was_stored_comes_back_and_what_is_damaged_is_refused() -> None:
 
 def test_a_piece_that_was_kept_at_another_scale_tells_nothing() -> None:
     assert apex.found_again(known(leaves()), evidence(leaves()), 3.0 * SCALE) is None
+
+
+def test_a_measured_tip_counts_more_the_longer_ago_the_apex_was_seen() -> None:
+    """A stem grows out of the leaves that its apex is known by: what is measured is the newer word."""
+    still, line = evidence(leaves()), np.array([[START[0], START[1] + k] for k in range(120, 0, -1)])
+    measured = START - [0.0, 2.0 * ONE_MM]
+    ends = []
+    for time_s in (300.0, 900.0):
+        told, _ = Followed(known(leaves()), still, time_s, SCALE).believed(np.concatenate([line, measured[None]]))
+        ends.append(float(START[1] - told[-1, 1]) / ONE_MM)
+    assert 0.0 < ends[0] < ends[1] < 2.0

@@ -23,11 +23,11 @@ from flora_lab.simulator.store import Extension
 
 _STEPS: Final = 8
 _PARTS: Final = 6
-_LAWS: Final = (SIDE_ALONE, EVEN_LIGHT)
-"""In what the law may be another than it is written, tried in this order."""
+_LAWS: Final = ((SIDE_ALONE,), (EVEN_LIGHT,), (SIDE_ALONE, EVEN_LIGHT))
+"""In what the law may be another than it is written, the simpler ones first."""
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-LAW_ROUNDS: Final = learn.ROUNDS + len(_LAWS)
+LAW_ROUNDS: Final = learn.ROUNDS * (1 + len(_LAWS))
 """How often :func:`law_of` tells that it has come farther."""
 
 
@@ -88,18 +88,16 @@ def law_of(
 ) -> tuple[tuple[Extension, ...], Learned]:
     """The forms of the law that plants are under, and what is learned under it.
 
-    Laws are compared from where the first one has come to rest: first rounds differ by fifty nats for no other reason
-    than that fits are still on their way.
+    Laws are compared where each has come to rest: after one round plants are still on their way from the constants that
+    another law gave them, and the right law may be fifty nats behind. Both forms together may be what neither is alone.
     """
     law: tuple[Extension, ...] = ()
     best = learn.learned(scenes, on_round)
-    for form in _LAWS:
-        other = (*law, Extension(form.name, {"amount": 1.0}))
-        there = under(other, scenes)
-        rival = learn.learned_under(there, best)
+    for forms in _LAWS:
+        other = tuple(Extension(form.name, {"amount": 1.0}) for form in forms)
+        rival = learn.learned_from(under(other, scenes), best, on_round)
         if rival.evidence > best.evidence + _RATHER:
-            law, best = other, learn.learned_further(there, rival)
-        on_round()
+            law, best = other, rival
     return law, best
 
 

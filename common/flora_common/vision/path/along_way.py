@@ -23,10 +23,19 @@ USABLE: Final = 0.08
 """How likely an apex is at least where its way is taken."""
 SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 """The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
+SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
+"""The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
+pictures."""
 KEEPS, KEEPS_CM = 3.0, 1.0
 """An apex where it was before counts by up to so much more, and one farther off than this by nothing."""
 RIVAL_SHARE: Final = 0.6
 """An apex elsewhere that is likelier than this share of the chosen one's may as well be the stem's."""
+THROUGH_CM, GOES_ON_CM = 0.12, 1.0
+"""A way that comes as near as the first to a place and goes on for the second goes through it: no stem ends there."""
+GOES_ON_LIKELY, WEAKEST_SHARE, GOES_ON_SHARE = 0.4, 10.0, 0.5
+"""Beyond it nearly all (but so many per cent) is that likely the stem's middle, and its end is at least that share as
+likely an apex as the place. Of 636 such pairs in plants drawn by others the farther end was the stem's in all; of those
+that go on for 0.7 cm in 98 of a hundred, for some young leaves lie in line with the stem."""
 AGREES_CM: Final = 0.5
 LEAVES_OVER_CM: Final = 2.5
 """A way that goes level to another plant's foot does so over this, from the anchor."""
@@ -58,16 +67,56 @@ def is_usable(way: Way) -> bool:
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
-    """The likeliest way, where one that ends at the apex before is likelier by itself."""
+    """The likeliest way, where one that ends at the apex before is likelier by itself, and one that ends half-way along
+    another is none."""
+    ends = [way for way in ways if not is_passed(way.tip_px, ways, px_per_cm, least=GOES_ON_SHARE * way.sure)]
     if before is None:
-        return ways[0]
+        return ends[0]
     tip = before.line_px[-1]
 
     def worth(way: Way) -> float:
         away = min(1.0, math.dist(way.tip_px, tip) / (KEEPS_CM * px_per_cm))
         return way.sure * (1.0 + before.trust * (KEEPS - 1.0) * (1.0 - away))
 
-    return max(ways, key=worth)
+    return max(ends, key=worth)
+
+
+def is_refuted(place_px: FloatArray, ways: Sequence[Way], px_per_cm: float, *, elsewhere: int) -> bool:
+    """Whether the network tells that no stem ends at a place: one leads through it and on, or for some pictures it is
+    sure of an apex elsewhere and sees none there.
+
+    Args:
+        place_px: (x, y), px of the full picture.
+        ways: that the network tells.
+        px_per_cm: scale.
+        elsewhere: pictures in a row in which something ended elsewhere and was not believed.
+    """
+    if elsewhere >= REFUTED_AFTER and ways[0].sure >= SURE_ELSEWHERE:
+        return all(math.dist(way.tip_px, place_px) > AGREES_CM * px_per_cm for way in ways)
+    return is_passed(place_px, ways, px_per_cm)
+
+
+def is_passed(place_px: FloatArray, ways: Sequence[Way], px_per_cm: float, *, least: float = 0.0) -> bool:
+    """Whether a usable way leads through a place and plainly on, so that no stem ends there.
+
+    Args:
+        place_px: (x, y), px of the full picture.
+        ways: that the network tells.
+        px_per_cm: scale.
+        least: how likely an apex there must be at the end of such a way.
+    """
+    return any(way.sure >= max(least, USABLE) and _leads_on(way, place_px, px_per_cm) for way in ways)
+
+
+def _leads_on(way: Way, place_px: FloatArray, px_per_cm: float) -> bool:
+    away = np.hypot(*(way.line_px - place_px).T)
+    nearest = int(np.argmin(away))
+    if away[nearest] > THROUGH_CM * px_per_cm:
+        return False
+    further = float(arc_length(way.line_px[nearest:])[-1])
+    return further >= GOES_ON_CM * px_per_cm and bool(
+        np.percentile(_along(way)[nearest:], WEAKEST_SHARE) >= GOES_ON_LIKELY
+    )
 
 
 def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_first: bool) -> str:

@@ -38,8 +38,9 @@ NEAR_SHARE: Final = 0.35
 """Of that reach: so near it is looked for first."""
 MOST_STEPS, CLOSE_PX, MOST_OFF_PX = 12, 0.01, 2.0
 """Of the search for a fraction of a pixel; one that leads farther from where it set out has lost the apex."""
-MOVED_ERROR_CM, MOVED_ERROR_SHARE = 0.02, 0.04
-"""Standard deviation of a motion, and share of it: a tip that swings turns, too, and its leaves before it."""
+MOVED_ERROR_CM, MOVED_ERROR_S, MOVED_ERROR_SHARE = 0.02, 300.0, 0.04
+"""Standard deviation of a motion over so many seconds, in proportion longer after more, for a stem grows out of the
+leaves that it is told by; and share of it: a tip that swings turns, too, and its leaves before it."""
 MEASURED_ERROR_CM: Final = 0.1
 """Standard deviation of a measured tip."""
 BELIEVED_CM: Final = 0.3
@@ -162,7 +163,8 @@ class Followed:
         assert self._before is not None
         assert self.there is not None
         moved_px = math.dist(self.there, self._before.tip_px)
-        return self._before.var_px + (MOVED_ERROR_CM * self._scale) ** 2 + (MOVED_ERROR_SHARE * moved_px) ** 2
+        grown = MOVED_ERROR_CM * self._scale * max(1.0, (self._time_s - self._before.time_s) / MOVED_ERROR_S)
+        return self._before.var_px + grown**2 + (MOVED_ERROR_SHARE * moved_px) ** 2
 
     def _remembered(self, tip_px: FloatArray, var_px: float) -> Apex | None:
         assert self._before is not None

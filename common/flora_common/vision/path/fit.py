@@ -20,7 +20,7 @@ from flora_common.vision.path.apex import Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.guide import Way
-from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory
+from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory, doubted_for
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
@@ -167,6 +167,10 @@ class Fitter:
             return fit, 0
         if followed.there is not None and not followed.is_known:
             return fit, 0
+        if fit.way is not None and along_way.is_refuted(
+            before.line_px[-1], sight.ways, scale, elsewhere=doubted_for(memory)
+        ):
+            return fit, 0
         late = count >= (ASTRAY_BELIEVED if followed.is_known else STEPS_BELIEVED)
         if near is not None:
             there = nearby.still_there(before, near, seen, fit.reached, sampler, scale, only_plain=late)
@@ -179,6 +183,14 @@ class Fitter:
             if not isinstance(again, str) and math.dist(again.reached.line[-1], before.line_px[-1]) <= most_px:
                 return again, count + 1
         return fit, 0
+
+    def is_further(self, fit: Fit, past: Past) -> bool:
+        """Whether the stem goes on beyond where it was believed to end in the picture before."""
+        return (
+            fit.way is not None
+            and past.before is not None
+            and along_way.is_passed(past.before.line_px[-1], [fit.way], self._scale)
+        )
 
     def judged(self, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past) -> Judged:
         """What speaks against a stem.

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.arrays import Float32Array, FloatArray
-from flora_common.geometry import arc_length
+from flora_common.geometry import arc_length, unit
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Layer, Network
 from flora_common.vision.path.evidence import Evidence
@@ -62,6 +62,8 @@ ASIDE_CM, ASIDE_SPREAD_CM, ASIDE_PLACES, ASIDE_TIMES = 0.7, 0.35, 17, 2
 places, so many times: it moves by 0.3 cm from one picture to the next where it moves most."""
 LEAST_ASIDE: Final = 1e-4
 """Square of a likelihood; where it is no greater to either side, the line stays where it is."""
+STRAIGHT_ON_CM, STRAIGHT_ON_SHARE = 0.7, 0.4
+"""An apex as far beyond another one and at least that share as likely makes that one doubtful."""
 PLAIN_ALONG: Final = 0.4
 """A known stem is as sure as its apex where its way is likelier than this."""
 IndexArray = npt.NDArray[np.intp]
@@ -246,7 +248,27 @@ def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
     pixel = maps.nearest_peak(line_px[-1], NEAR_CM * px_per_cm)
     tip = maps.about(pixel)
     line, along = in_middle(maps, drawn_to(line_px, tip, SECTION_CM * px_per_cm), px_per_cm)
-    return Way(tip, float(maps.apex[pixel]) * min(1.0, _weakest(along) / PLAIN_ALONG), line, along)
+    sure = float(maps.apex[pixel]) * min(1.0, _weakest(along) / PLAIN_ALONG)
+    return Way(tip, 0.0 if _goes_on(maps, pixel, line, px_per_cm) else sure, line, along)
+
+
+def _goes_on(maps: Maps, pixel: tuple[int, int], line_px: FloatArray, px_per_cm: float) -> bool:
+    """Whether what is likely stem leads straight on from the end of a line to another apex, of which only the whole
+    picture tells more."""
+    tip = line_px[-1]
+    s = arc_length(line_px)
+    heading = unit(tip - line_px[int(np.searchsorted(s, s[-1] - STRAIGHT_ON_CM * px_per_cm))])
+    for other in maps.peaks():
+        way = maps.about(other) - tip
+        ahead_cm, aside_cm = (
+            abs(float(v)) / px_per_cm for v in (way @ heading, way[0] * heading[1] - way[1] * heading[0])
+        )
+        is_ahead = way @ heading > 0.0 and ahead_cm > max(STRAIGHT_ON_CM, aside_cm)
+        if is_ahead and maps.apex[other] >= STRAIGHT_ON_SHARE * maps.apex[pixel]:
+            places = tip + np.linspace(0.0, 1.0, math.ceil(ahead_cm / ALONG_CM))[:, None] * way
+            if float(np.median(maps.stem_at(places))) > PLAIN_ALONG:
+                return True
+    return False
 
 
 def in_middle(maps: Maps, line_px: FloatArray, px_per_cm: float) -> tuple[FloatArray, FloatArray]:

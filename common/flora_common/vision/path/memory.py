@@ -82,6 +82,11 @@ def before_of(memory: Memory | None, time_s: float) -> Before | None:
     return Before(np.array(memory.line_px), trust)
 
 
+def doubted_for(memory: Memory | None) -> int:
+    """Pictures in a row in which something ended elsewhere than before, and was not believed."""
+    return 0 if memory is None else max(memory.elsewhere, memory.doubts)
+
+
 def remembered(
     memory: Memory | None, line_px: FloatArray, state: State, outcome: PictureOutcome, seen: float, *, doubted: bool
 ) -> Memory | None:

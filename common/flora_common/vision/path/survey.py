@@ -51,6 +51,10 @@ LEAST_SHIFT_PX: Final = 0.04
 """Less changes the evidence of the sharpest edges by half a code unit, which noise does, too."""
 CHANGED: Final = 40.0
 """Code units, over squares of four coarse pixels, for single ones in the dark differ by as much."""
+CHANGED_OVER_NOISE: Final = 4.0
+"""So many times what a square of that brightness usually differs by, for in the darkest places these do, too."""
+WORTH_A_LOOK: Final = 0.003
+"""Share of changed squares from which noise is measured: most pictures have none at all."""
 HANGS_TOGETHER: Final = 2
 """Mark of pixels that hang together with the anchor's."""
 
@@ -154,7 +158,7 @@ class Surveyor:
         noise = noise_of(score)
         mask = (score > max(CLEAR * noise, LEAST_EVIDENCE)).view(np.uint8)
         plant, around = self._surroundings(mask)
-        changed = _changed(flat, around)
+        changed = empty.changed(flat, around)
         return Survey(picture, coarse, number, empty.state, slow, shift, flat, even, plant, around, changed, noise)
 
     def bounds(self, survey: Survey) -> tuple[slice, slice]:
@@ -210,6 +214,22 @@ class _Empty:
             if places.size > LEAST_OF_LEVEL:
                 factors[k] = min(1.0, usual / max(1e-3, float(median(sample[places]))))
         return np.interp(np.arange(256), (np.arange(LEVELS) + 0.5) * self._step, factors).astype(np.float32)
+
+    def changed(self, flat: Float32Array, around: ByteArray) -> float:
+        """Share of the picture, away from the plant, that is not as the empty setup shows it."""
+        height, width = (n // 2 for n in around.shape)
+        squares = cv2.resize(flat[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        off = np.abs(squares).max(axis=2)
+        away = around[: 2 * height : 2, : 2 * width : 2] == 0
+        count = max(1, int(np.count_nonzero(away)))
+        is_changed = away & (off > CHANGED)
+        if np.count_nonzero(is_changed) > WORTH_A_LOOK * count:
+            band = self.green[: 2 * height : 2, : 2 * width : 2] // self._step
+            for k in range(LEVELS):
+                usual = off[away & (band == k)]
+                if usual.size > LEAST_OF_LEVEL:
+                    is_changed &= (band != k) | (off > CHANGED_OVER_NOISE * float(median(usual)))
+        return int(np.count_nonzero(is_changed)) / count
 
     def shift_of(self, flat: Float32Array) -> Float32Array:
         """How far the picture lies from the empty setup, (x, y) in coarse pixels, by least squares on its gradient.
@@ -318,15 +338,3 @@ def nearest_in_window(camera: CameraSection, settings: PathSettings) -> tuple[fl
     rows, columns = window_box(camera, settings)
     x, y = camera.anchor_px
     return min(max(x, columns.start), columns.stop - 1), min(max(y, rows.start), rows.stop - 1)
-
-
-def _changed(flat: Float32Array, around: ByteArray) -> float:
-    """Share of the picture, away from the plant, that is not as the empty setup shows it."""
-    height, width = (n // 2 for n in around.shape)
-    squares = cv2.resize(flat[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    blue, green, red = (np.abs(squares[..., k]) for k in range(3))
-    away = around[: 2 * height : 2, : 2 * width : 2] == 0
-    count = int(np.count_nonzero(away))
-    if count == 0:
-        return 0.0
-    return int(np.count_nonzero(away & (np.maximum(np.maximum(blue, green), red) > CHANGED))) / count

@@ -28,6 +28,7 @@ from flora_common.vision.path.memory import (
     Memory,
     State,
     before_of,
+    doubted_for,
     remembered,
 )
 from flora_common.vision.path.sampler import Sampler
@@ -177,6 +178,9 @@ class PathTracker:
             return no_stem("nothing at the anchor differs from the empty setup")
         scale = self.camera.px_per_cm
         followed = Followed(self.memory.apex if self.memory else None, evidence, time_s, scale)
+        elsewhere = doubted_for(self.memory)
+        if followed.there is not None and along_way.is_refuted(followed.there, sight.ways, scale, elsewhere=elsewhere):
+            followed = Followed(None, evidence, time_s, scale)
         before = before_of(self.memory, time_s)
         before = before and replace(before, line_px=followed.drawn(before.line_px))
         sampler = Sampler(evidence)
@@ -192,7 +196,7 @@ class PathTracker:
             if math.dist(again.line[-1], fit.reached.line[-1]) < nearby.SAME_CM * scale:
                 # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
                 fit = replace(fit, reached=again, tip=tip)
-        belief = self._belief(fit.reached, fit.tip, time_s)
+        belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
         final, apex = self._ended(fit.reached, fit.tip, followed, belief)
         told = self._fitter.judged(fit, final, sight, sampler, past)
         doubt = told.doubt or self._doubt_of_start(sight, fit.chain, final)
@@ -214,9 +218,10 @@ class PathTracker:
         line, apex = followed.believed(stem.line)
         return replace(stem, line=line), apex
 
-    def _belief(self, stem: Stem, tip: Tip, time_s: float) -> LengthState:
+    def _belief(self, stem: Stem, tip: Tip, time_s: float, *, is_new: bool = False) -> LengthState:
+        """How long the stem is; ``is_new`` where what was believed before is known to be wrong."""
         scale = self.camera.px_per_cm
-        before = self.memory.length if self.memory else None
+        before = self.memory.length if self.memory and not is_new else None
         return length.measured(before, time_s, stem.length / scale, tip.error_px / scale, hidden=not tip.open_end)
 
     def _doubt_of_start(self, sight: Sight, chain: Chain | None, stem: Stem) -> str:
