@@ -144,7 +144,7 @@ def test_what_differs_everywhere_is_told() -> None:
 
 @pytest.mark.parametrize("noise", [22.0, 40.0])
 def test_noise_of_a_dark_board_is_no_change_and_a_change_on_the_bright_one_beside_it_is(noise: float) -> None:
-    """In logarithmic code noise of the dark is several times that of the bright; the second is that of a poor camera."""
+    """In logarithmic code noise of the dark is several times that of the bright; the second is a poor camera's."""
     surface = np.full((HEIGHT, WIDTH, 3), 120.0, np.float32)
     surface[:, : WIDTH // 2] = 6.0
 
