@@ -38,7 +38,7 @@ EFFECT: Final = Effect(
             meaning="curvature per hour of a steady push to the right",
             source="a fan, a window, a leaning pot",
             starts=(-0.1, 0.1),
-            least=0.01,
+            least=0.003,
         ),
     ),
     forms=(
