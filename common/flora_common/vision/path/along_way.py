@@ -69,7 +69,8 @@ def is_usable(way: Way) -> bool:
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
     """The likeliest way, where one that ends at the apex before is likelier by itself, and one that ends half-way along
     another is none."""
-    ends = [way for way in ways if not is_passed(way.tip_px, ways, px_per_cm, least=GOES_ON_SHARE * way.sure)]
+    passed = [is_passed(way.tip_px, ways, px_per_cm, least=GOES_ON_SHARE * way.sure) for way in ways]
+    ends = [way for way, is_none in zip(ways, passed, strict=True) if not is_none] or ways
     if before is None:
         return ends[0]
     tip = before.line_px[-1]
