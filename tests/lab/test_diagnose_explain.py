@@ -64,6 +64,30 @@ def test_two_hidden_effects_are_named_both() -> None:
     assert {cause.effect for cause in causes} == set(names(explanation))
 
 
+def test_a_cause_that_comes_to_nothing_gives_back_what_it_made_worthless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the second cause the first seems not to be needed; weighed again, the second is next to nothing."""
+    real = Explainer._with_the_best
+
+    def displaced(self: Explainer, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
+        accepted[:] = accepted[-1:]
+        return found
+
+    def second_vanishes(self: Explainer, reached: explain._Reached, stage: Stage) -> explain._Reached | None:
+        with monkeypatch.context() as patch:
+            patch.setattr(Explainer, "_pruned", displaced)
+            if reached.accepted:
+                patch.setattr(explain, "_is_worth_a_name", lambda fit: False)
+            return real(self, reached, stage)
+
+    monkeypatch.setattr(Explainer, "_with_the_best", second_vanishes)
+    with one_blas_thread():
+        explanation = Explainer(scenes_of((80, 81), BOTH), known()).explain()
+    assert len(explanation.stages) == 2
+    assert [one.tried.effect.name for one in explanation.accepted] == list(names(explanation))
+    assert len(names(explanation)) == 1
+    assert explanation.dropped == ()
+
+
 def test_a_late_answer_is_named_with_the_clock_that_may_be_wrong() -> None:
     explanation = explained("slow")
     (cause,) = named(explanation, left_of(explanation, known()))

@@ -151,6 +151,19 @@ def test_summaries_are_sentences() -> None:
     assert any("Sagging" in text and "Something else is at work" in text for text in told)
 
 
+def test_causes_that_were_dropped_are_told() -> None:
+    found = found_of("sag", [0.1, *SAGGING[1:]])
+    explanation = replace(explanation_of({"sag": 30.0}, found), taken=("draught", "sag", "draught"))
+    assert explanation.dropped == ("draught",)
+    told = summary([cause_of({"sag": 30.0}, "sag", SAGGING)], NONE_LEFT, dropped=explanation.dropped)
+    assert "Steady push to a side seemed to be there, and is not needed" in told
+
+
+@pytest.mark.parametrize(("p_value", "says"), [(0.3, "no more than chance"), (0.02, "one set of healthy runs in 50")])
+def test_runs_that_are_unusual_as_a_whole_are_not_said_to_be_usual(p_value: float, says: str) -> None:
+    assert says in summary([], NONE_LEFT, p_value=p_value)
+
+
 def test_what_comes_nearest_to_a_name_is_told_where_none_is_given() -> None:
     found = found_of("sag", [0.1, *SAGGING[1:]])
     named_one = explanation_of({"phototropic_gain": 1.8, "sag": 1.2}, found)
