@@ -151,6 +151,13 @@ def test_summaries_are_sentences() -> None:
     assert any("Sagging" in text and "Something else is at work" in text for text in told)
 
 
+@pytest.mark.parametrize(("factor", "alike"), [(2.5, []), (4.0, ["adaptation"])])
+def test_a_cause_beyond_what_is_plausible_may_be_a_related_one(factor: float, alike: list[str]) -> None:
+    gains = {"proprioception": 25.0, "adaptation": 15.0, "phototropic_gain": 12.5, "sag": 14.0}
+    cause = cause_of(gains, "proprioception", [float(np.log(factor))])
+    assert cause.confusable_with == alike
+
+
 def test_causes_that_were_dropped_are_told() -> None:
     found = found_of("sag", [0.1, *SAGGING[1:]])
     explanation = replace(explanation_of({"sag": 30.0}, found), taken=("draught", "sag", "draught"))

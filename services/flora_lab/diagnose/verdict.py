@@ -28,7 +28,10 @@ ALIKE: Final = 4.0
 RELATED: Final = 8.0
 """The same for causes that light and track hardly tell apart: no law is right enough for it."""
 INSEPARABLE: Final = 12.0
-"""The same for causes that they can never tell apart: what is between them is the shape of a prior."""
+"""The same for causes that they can never tell apart: what is between them is the shape of a prior; and for related
+ones where the better one would have to be stronger than is plausible."""
+FAR_END: Final = 2.0
+"""Spreads of a parameter from where there is no effect to the far end of what is plausible, see :class:`Parameter`."""
 _EXACTLY: Final = 0.6
 NOTHING_FIRST: Final = 3.0
 """How many times more probable no cause is than any certain one, before any data."""
@@ -197,13 +200,23 @@ def _places(found: Found) -> dict[str, tuple[Cause, slice]]:
 def _alike(stage: Stage) -> list[Tried]:
     """What these runs cannot tell from the best."""
     best = stage.tried[0]
+    related = RELATED if _is_plausible(best) else INSEPARABLE
     out = []
     for other in stage.tried[1:]:
         behind = best.gain - other.gain
-        near = other.gain > 0.0 and behind < (RELATED if is_same(best.effect, other.effect) else ALIKE)
+        near = other.gain > 0.0 and behind < (related if is_same(best.effect, other.effect) else ALIKE)
         if near or (other.effect.name in best.effect.exactly and _is_as_good(best, other)):
             out.append(other)
     return out
+
+
+def _is_plausible(tried: Tried) -> bool:
+    """Whether a cause is no stronger than is plausible; beyond it a related one is the likelier."""
+    if tried.found is None:
+        return True
+    values = tried.found.values()[-1]
+    told = ((p, abs(p.coordinate(values[p.name]) - p.centre)) for p in tried.effect.parameters if p.none is not None)
+    return all(away <= FAR_END * p.spread for p, away in told)
 
 
 def _is_as_good(best: Tried, other: Tried) -> bool:
