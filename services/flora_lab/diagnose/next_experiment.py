@@ -27,7 +27,7 @@ from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.scene import START_SD, TEMPERATURE, Scene
 from flora_lab.diagnose.schedules import CHOICE, DEFAULT, Schedule
 from flora_lab.diagnose.usual_errors import UsualErrors
-from flora_lab.diagnose.verdict import RELATED
+from flora_lab.diagnose.verdict import related_nats
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, is_same
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
@@ -122,7 +122,7 @@ def candidates_of(explanation: Explanation) -> list[Candidate]:
     out = [Candidate(best.effect.name, explanation.found, 0.0)]
     for tried in rivals(explanation):
         behind = best.gain - tried.gain
-        is_near = behind <= (RELATED if is_same(best.effect, tried.effect) else CLOSE_NATS)
+        is_near = behind <= (related_nats(best) if is_same(best.effect, tried.effect) else CLOSE_NATS)
         if tried.found is not None and (is_near or tried.effect.name in best.effect.exactly) and len(out) < MOST:
             out.append(Candidate(tried.effect.name, _to_the_end(explanation.joint, tried.found), max(behind, 0.0)))
     return out

@@ -200,7 +200,7 @@ def _places(found: Found) -> dict[str, tuple[Cause, slice]]:
 def _alike(stage: Stage) -> list[Tried]:
     """What these runs cannot tell from the best."""
     best = stage.tried[0]
-    related = RELATED if _is_plausible(best) else INSEPARABLE
+    related = related_nats(best)
     out = []
     for other in stage.tried[1:]:
         behind = best.gain - other.gain
@@ -208,6 +208,11 @@ def _alike(stage: Stage) -> list[Tried]:
         if near or (other.effect.name in best.effect.exactly and _is_as_good(best, other)):
             out.append(other)
     return out
+
+
+def related_nats(best: Tried) -> float:
+    """Nats within which a related cause is not told from the best one."""
+    return RELATED if _is_plausible(best) else INSEPARABLE
 
 
 def _is_plausible(tried: Tried) -> bool:
