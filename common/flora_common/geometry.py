@@ -22,6 +22,12 @@ def unit(vector: FloatArray) -> FloatArray:
     return np.asarray(vector / max(1e-9, float(np.hypot(vector[0], vector[1]))), dtype=np.float64)
 
 
+def heading_at_end(line: FloatArray, over: float) -> FloatArray:
+    """Where the last piece of a line, shape (n, 2), leads, of length 1; that is ``over`` long, or all of the line."""
+    s = arc_length(line)
+    return unit(line[-1] - line[int(np.searchsorted(s, s[-1] - over))])
+
+
 def collides(points_cm: npt.ArrayLike, obstacle: Obstacle) -> bool:
     """Whether the polyline through ``points_cm`` touches the obstacle anywhere, not only at its points.
 

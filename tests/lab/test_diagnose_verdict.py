@@ -160,7 +160,9 @@ def test_a_cause_beyond_what_is_plausible_may_be_a_related_one(factor: float, al
 
 def test_causes_that_were_dropped_are_told() -> None:
     found = found_of("sag", [0.1, *SAGGING[1:]])
-    explanation = replace(explanation_of({"sag": 30.0}, found), taken=("draught", "sag", "draught"))
+    kept, other = explanation_of({"sag": 30.0}, found), explanation_of({"draught": 40.0}, found)
+    taken = (*other.stages, *kept.stages, *other.stages)
+    explanation = replace(kept, stages=(*taken, *kept.stages))  # after the last one nothing was taken
     assert explanation.dropped == ("draught",)
     told = summary([cause_of({"sag": 30.0}, "sag", SAGGING)], NONE_LEFT, dropped=explanation.dropped)
     assert "Steady push to a side seemed to be there, and is not needed" in told

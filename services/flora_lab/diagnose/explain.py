@@ -99,7 +99,6 @@ class Explainer:
         alone, joint, null = self._begun()
         reached = _Reached(joint, null)
         stages: list[Stage] = []
-        taken: list[str] = []
         while len(stages) <= MOST_CAUSES:
             stage = self._settled(reached.joint, reached.found, reached.swing, _RESTARTS if not stages else 1)
             stages.append(stage)
@@ -109,13 +108,12 @@ class Explainer:
             further = self._with_the_best(reached, stage)
             if further is None:
                 break
-            taken.append(stage.tried[0].effect.name)
             reached = further
         joint, swing, accepted = reached.joint, reached.swing, reached.accepted
         null = stages[0].before if swing is None else joint.fit(_side_by_side(alone))
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, tuple(taken), beside)
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
 
     def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether the best cause of a stage is one."""

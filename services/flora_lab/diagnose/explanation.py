@@ -72,7 +72,6 @@ class Explanation:
         accepted: the causes that were taken and kept.
         joint: the runs, as they were whitened at the end.
         claim: nats that the first cause had to have, or would have had to.
-        taken: effects that were taken at some stage, dropped ones among them.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
     """
 
@@ -83,14 +82,14 @@ class Explanation:
     accepted: tuple[Accepted, ...]
     joint: Joint
     claim: float = CLAIM
-    taken: tuple[str, ...] = ()
     unnamed: Unnamed | None = None
 
     @property
     def dropped(self) -> tuple[str, ...]:
         """Effects that were taken before others made them worthless, in this order."""
         kept = {one.tried.effect.name for one in self.accepted}
-        return tuple(name for name in dict.fromkeys(self.taken) if name not in kept)
+        taken = dict.fromkeys(stage.tried[0].effect.name for stage in self.stages[:-1])
+        return tuple(name for name in taken if name not in kept)
 
     @property
     def nearest(self) -> Tried | None:

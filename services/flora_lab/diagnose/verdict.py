@@ -30,8 +30,6 @@ RELATED: Final = 8.0
 INSEPARABLE: Final = 12.0
 """The same for causes that they can never tell apart: what is between them is the shape of a prior; and for related
 ones where the better one would have to be stronger than is plausible."""
-FAR_END: Final = 2.0
-"""Spreads of a parameter from where there is no effect to the far end of what is plausible, see :class:`Parameter`."""
 _EXACTLY: Final = 0.6
 NOTHING_FIRST: Final = 3.0
 """How many times more probable no cause is than any certain one, before any data."""
@@ -220,8 +218,7 @@ def _is_plausible(tried: Tried) -> bool:
     if tried.found is None:
         return True
     values = tried.found.values()[-1]
-    told = ((p, abs(p.coordinate(values[p.name]) - p.centre)) for p in tried.effect.parameters if p.none is not None)
-    return all(away <= FAR_END * p.spread for p, away in told)
+    return all(p.is_plausible(values[p.name]) for p in tried.effect.parameters)
 
 
 def _is_as_good(best: Tried, other: Tried) -> bool:

@@ -16,6 +16,8 @@ from flora_lab.simulator.tropism_traits import NAMES
 Values = Mapping[str, float]
 Where = Literal["plant", "camera", "clock", "simulator"]
 
+_FAR_END: Final = 2.0
+"""Standard deviations of what is plausible between no effect and the far end of that."""
 _NEXT_TO_NOTHING: Final = 0.01
 """In standard deviations of what is plausible: with so little of an effect, something else has done what it seems."""
 
@@ -79,6 +81,11 @@ class Parameter:
         away = abs(self.coordinate(value) - self.centre)
         return abs(value - self.none) >= self.least and away > _NEXT_TO_NOTHING * self.spread
 
+    def is_plausible(self, value: float) -> bool:
+        """Whether a value lies no farther from none than the far end of what is plausible."""
+        away = abs(self.coordinate(value) - self.centre)
+        return self.none is None or away <= _FAR_END * self.spread
+
     @property
     def centre(self) -> float:
         """Coordinate about which it is expected: where there is no effect, or the middle of the range."""
@@ -98,7 +105,7 @@ class Parameter:
         if self.is_cyclic:
             return (self.high - self.low) / math.sqrt(2.0 * math.pi)
         ends = (abs(self.coordinate(self.low) - self.centre), abs(self.coordinate(self.high) - self.centre))
-        return max(ends) / 2.0
+        return max(ends) / _FAR_END
 
 
 class Push(Protocol):

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from flora_common.arrays import ByteArray, Float32Array, FloatArray
-from flora_common.geometry import arc_length, unit
+from flora_common.geometry import arc_length, heading_at_end
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path.chain import Chain
@@ -125,7 +125,7 @@ def hides_more(line: FloatArray, flat: Float32Array | None, px_per_cm: float) ->
     """
     if flat is None:
         return ""
-    ahead = _heading(line, px_per_cm)
+    ahead = heading_at_end(line, HEADING_CM * px_per_cm)
     along, across = np.arange(*BEYOND_CM, PLACE_CM), np.arange(-BESIDE_CM, BESIDE_CM + 0.5 * PLACE_CM, PLACE_CM)
     aside = np.array([-ahead[1], ahead[0]])
     off = along[:, None, None] * ahead + across[None, :, None] * aside
@@ -185,16 +185,10 @@ def beyond_px(line: FloatArray, mask: ByteArray, origin_px: tuple[int, int], px_
     if rows.size == 0:
         return 0.0, 0.0
     above = float(line[:, 1].min() - (origin_px[1] + 2 * int(rows.min())))
-    heading = _heading(line, px_per_cm)
+    heading = heading_at_end(line, HEADING_CM * px_per_cm)
     off = 2.0 * np.column_stack([columns, rows]) + origin_px - line[-1]
     ahead, aside = off @ heading, np.abs(off @ np.array([-heading[1], heading[0]]))
     return above, float(np.max(ahead, where=aside < CONE * ahead + 0.1 * px_per_cm, initial=0.0))
-
-
-def _heading(line: FloatArray, px_per_cm: float) -> FloatArray:
-    """Where the last piece of a line leads, of length 1."""
-    s = arc_length(line)
-    return unit(line[-1] - line[int(np.searchsorted(s, s[-1] - HEADING_CM * px_per_cm))])
 
 
 def touching_px(strands: Strands, camera: CameraSection) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.arrays import Float32Array, FloatArray
-from flora_common.geometry import arc_length, unit
+from flora_common.geometry import arc_length, heading_at_end
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Layer, Network
 from flora_common.vision.path.evidence import Evidence
@@ -255,16 +255,12 @@ def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
 def _goes_on(maps: Maps, pixel: tuple[int, int], line_px: FloatArray, px_per_cm: float) -> bool:
     """Whether what is likely stem leads straight on from the end of a line to another apex, of which only the whole
     picture tells more."""
-    tip = line_px[-1]
-    s = arc_length(line_px)
-    heading = unit(tip - line_px[int(np.searchsorted(s, s[-1] - STRAIGHT_ON_CM * px_per_cm))])
+    tip, heading = line_px[-1], heading_at_end(line_px, STRAIGHT_ON_CM * px_per_cm)
     for other in maps.peaks():
         way = maps.about(other) - tip
-        ahead_cm, aside_cm = (
-            abs(float(v)) / px_per_cm for v in (way @ heading, way[0] * heading[1] - way[1] * heading[0])
-        )
-        is_ahead = way @ heading > 0.0 and ahead_cm > max(STRAIGHT_ON_CM, aside_cm)
-        if is_ahead and maps.apex[other] >= STRAIGHT_ON_SHARE * maps.apex[pixel]:
+        ahead_cm = float(way @ heading) / px_per_cm
+        aside_cm = abs(float(way[0] * heading[1] - way[1] * heading[0])) / px_per_cm
+        if ahead_cm > max(STRAIGHT_ON_CM, aside_cm) and maps.apex[other] >= STRAIGHT_ON_SHARE * maps.apex[pixel]:
             places = tip + np.linspace(0.0, 1.0, math.ceil(ahead_cm / ALONG_CM))[:, None] * way
             if float(np.median(maps.stem_at(places))) > PLAIN_ALONG:
                 return True

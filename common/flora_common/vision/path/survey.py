@@ -219,7 +219,8 @@ class _Empty:
         """Share of the picture, away from the plant, that is not as the empty setup shows it."""
         height, width = (n // 2 for n in around.shape)
         squares = cv2.resize(flat[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-        off = np.abs(squares).max(axis=2)
+        blue, green, red = (np.abs(squares[..., k]) for k in range(3))
+        off = np.maximum(np.maximum(blue, green), red)
         away = around[: 2 * height : 2, : 2 * width : 2] == 0
         count = max(1, int(np.count_nonzero(away)))
         is_changed = away & (off > CHANGED)
