@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
+import cv2
 from threadpoolctl import threadpool_limits
 
 
@@ -14,3 +15,10 @@ def one_blas_thread() -> Iterator[None]:
     other; and sums are then the same on any machine."""
     with threadpool_limits(limits=1, user_api="blas"):
         yield
+
+
+def one_core() -> None:
+    """OpenCV and products of matrices use one for as long as this process lives: workers share the others out among
+    themselves."""
+    cv2.setNumThreads(1)
+    threadpool_limits(limits=1, user_api="blas")

@@ -31,7 +31,6 @@ from typing import Final
 TESTS = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(TESTS))
 
-import cv2  # noqa: E402
 import numpy as np  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: E402
@@ -49,6 +48,7 @@ from flora_common.vision.path.memory import Memory  # noqa: E402
 from flora_common.vision.path.tracker import PathTracker, Sight  # noqa: E402
 from flora_common.vision.picture import Picture, decode_picture  # noqa: E402
 from flora_common.vision.reading import NO_STEM, OK, StemReading  # noqa: E402
+from flora_lab.threads import one_core  # noqa: E402
 from truth_run import TruthFrame, twin_run  # noqa: E402
 
 FIRST_SEED: Final = 70_001
@@ -228,7 +228,7 @@ def is_same_tip(tip_cm: FloatArray | None, other_cm: FloatArray | None) -> bool:
 
 def fuzzed(family: str, seed: int, count: int) -> list[Result]:
     """Results of one individual; in a process of its own."""
-    cv2.setNumThreads(1)
+    one_core()
     silenced = os.open(os.devnull, os.O_WRONLY)  # the JPEG library prints a line for each damaged file
     kept = os.dup(2)
     os.dup2(silenced, 2)

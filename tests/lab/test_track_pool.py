@@ -8,7 +8,9 @@ import time
 from collections.abc import Iterator
 from functools import partial
 
+import cv2
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from flora_common.errors import BadPicture, FloraError
 from flora_lab.track.pool import WAITING_PER_WORKER, Pool
@@ -25,6 +27,14 @@ def picky(number: int) -> int:
     if number == 4:
         raise ZeroDivisionError("four")
     return number
+
+
+def blas_threads(_: int) -> int:
+    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+
+
+def cv2_threads(_: int) -> int:
+    return cv2.getNumThreads()
 
 
 def deadly(number: int) -> int:
@@ -65,3 +75,11 @@ def test_what_work_raises_is_raised_here() -> None:
 def test_a_worker_that_is_killed_is_told() -> None:
     with Pool(2) as pool, pytest.raises(FloraError, match=r"ended with status -9; .*fewer --jobs"):
         list(pool.map(deadly, range(5)))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_process_takes_one_core(jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with threadpool_limits(limits=2, user_api="blas"), Pool(jobs) as pool:
+        assert list(pool.map(blas_threads, range(3))) == [1, 1, 1]
+        assert set(pool.map(cv2_threads, range(3))) == {1}

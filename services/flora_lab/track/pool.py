@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar
 
 import cv2
 
+from flora_lab.threads import one_blas_thread, one_core
 from flora_lab.worker_process import Worker, start_workers
 
 Task = TypeVar("Task")
@@ -101,17 +102,13 @@ class Pool:
                 yield result
 
 
-def one_core() -> None:
-    """OpenCV uses one: workers share the others out among themselves."""
-    cv2.setNumThreads(1)
-
-
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
     """One core, as in a worker."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        yield
+        with one_blas_thread():
+            yield
     finally:
         cv2.setNumThreads(before)

@@ -20,6 +20,7 @@ from bench.vision.methods import METHODS
 from drawings import drawn_run
 from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
+from flora_lab.threads import one_core
 from truth_run import TruthFrame, TruthRun, twin_run
 
 FAMILIES: Final[dict[str, Callable[..., TruthRun]]] = {"twin": twin_run, "drawings": drawn_run}
@@ -111,7 +112,7 @@ def judge_run(
     family: str, seed: int, methods: Sequence[str], scale: Scale, progress: Progress, *, keep_stretch: bool = False
 ) -> RunResult:
     """Photograph one run and let every method read it."""
-    cv2.setNumThreads(1)
+    one_core()
     run = FAMILIES[family](seed, hours=scale.hours, every_s=scale.every_s)
     judged = scale.judged()
     wanted = set(judged)
@@ -172,7 +173,7 @@ def time_methods(
         frames: and some consecutive ones of it. The first tenth is for warming up and not counted.
         methods, scale: as for :func:`judge_run`.
     """
-    cv2.setNumThreads(1)
+    one_core()
     run = FAMILIES[family](seed, hours=scale.hours, every_s=scale.every_s)
     warm = -(-len(frames) // 10)
     out = {}
@@ -232,14 +233,14 @@ def run_other_tools(
     }
     (folder / "run.json").write_text(json.dumps(told), encoding="utf-8")
     out = folder / "found.npz"
-    one_core = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    on_one_core = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     with (folder / "stderr.txt").open("w+", encoding="utf-8") as said:
         process = subprocess.Popen(
             [python, SCRIPT, folder, out, "--tools", ",".join(tools)],
             stdout=subprocess.PIPE,
             stderr=said,
             text=True,
-            env={**os.environ, **one_core},
+            env={**os.environ, **on_one_core},
         )
         assert process.stdout is not None
         for _ in process.stdout:
