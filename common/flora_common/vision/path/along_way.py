@@ -13,7 +13,7 @@ from flora_common.arrays import FloatArray
 from flora_common.geometry import arc_length, unit
 from flora_common.vision.path import across, curve, doubts
 from flora_common.vision.path.apex import drawn_to
-from flora_common.vision.path.chain import RIVAL_CM, Before
+from flora_common.vision.path.chain import Before
 from flora_common.vision.path.curve import STEP_PX, Stem
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.sampler import Sampler, places_along
@@ -28,8 +28,6 @@ SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 pictures."""
 KEEPS, KEEPS_CM = 3.0, 1.0
 """An apex where it was before counts by up to so much more, and one farther off than this by nothing."""
-RIVAL_SHARE: Final = 0.6
-"""An apex elsewhere that is likelier than this share of the chosen one's may as well be the stem's."""
 THROUGH_CM, GOES_ON_CM = 0.12, 1.0
 """A way that comes as near as the first to a place and goes on for the second goes through it: no stem ends there."""
 GOES_ON_LIKELY, WEAKEST_SHARE, GOES_ON_SHARE = 0.4, 10.0, 0.5
@@ -120,13 +118,12 @@ def _leads_on(way: Way, place_px: FloatArray, px_per_cm: float) -> bool:
     )
 
 
-def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_first: bool) -> str:
-    """Why the way may lead to another plant, or another part of this one; empty where nothing says so.
+def unsure(way: Way, stem: Stem, px_per_cm: float, *, is_first: bool) -> str:
+    """Why the way may lead to another plant; empty where nothing says so.
 
     Args:
         way: that was chosen.
         stem: measured along that way.
-        others: all ways that the network tells, the chosen one among them.
         px_per_cm: scale.
         is_first: nothing is known from pictures before.
     """
@@ -139,12 +136,7 @@ def unsure(way: Way, stem: Stem, others: Sequence[Way], px_per_cm: float, *, is_
     if any(doubts.is_aside(place, px_per_cm) for place in low):
         return doubts.BEGINS_ASIDE
     unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
-    if unseen_cm > doubts.LONGEST_UNSEEN_CM:
-        return doubts.unseen(unseen_cm)
-    rivals = (other.sure for other in others if math.dist(other.tip_px, way.tip_px) > RIVAL_CM * px_per_cm)
-    if max(rivals, default=0.0) > RIVAL_SHARE * way.sure:
-        return doubts.ANOTHER_PART
-    return ""
+    return doubts.unseen(unseen_cm) if unseen_cm > doubts.LONGEST_UNSEEN_CM else ""
 
 
 def agrees(way: Way, stem: Stem, px_per_cm: float) -> bool:

@@ -21,6 +21,7 @@ from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.memory import ASTRAY_BELIEVED, LEAST_SEEN, Memory, doubted_for
+from flora_common.vision.path.rivals import Rivals
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
@@ -192,7 +193,7 @@ class Fitter:
             and along_way.is_passed(past.before.line_px[-1], [fit.way], self._scale)
         )
 
-    def judged(self, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past) -> Judged:
+    def judged(self, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past, rivals: Rivals) -> Judged:
         """What speaks against a stem.
 
         Args:
@@ -200,19 +201,26 @@ class Fitter:
             final: as it will be told, its end where all pictures together say.
             sight, sampler: of the picture.
             past: what is known from the pictures before.
+            rivals: how likely its end and others have been lately, this picture included.
         """
         if fit.way is not None:
-            return self._way_judged(fit.way, fit, final, sight, sampler, past)
+            return self._way_judged(fit.way, fit, final, sight, sampler, past, rivals)
         assert fit.chain is not None
         told = self._chain_judged(fit.chain, final, sight, sampler, past)
         way = along_way.chosen(sight.ways, past.before, self._scale)
         if not told.unsure and not along_way.agrees(way, final, self._scale):
             return replace(told, unsure="its end does not look like an apex")
+        if not told.unsure and rivals.are_strong:
+            return replace(told, unsure=doubts.ANOTHER_PART)
         return told
 
-    def _way_judged(self, way: Way, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past) -> Judged:
+    def _way_judged(
+        self, way: Way, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past, rivals: Rivals
+    ) -> Judged:
         scale, is_first = self._scale, past.before is None
-        unsure = along_way.unsure(way, fit.reached, sight.ways, scale, is_first=is_first)
+        unsure = along_way.unsure(way, fit.reached, scale, is_first=is_first)
+        if rivals.are_strong:
+            unsure = unsure or doubts.ANOTHER_PART
         if is_first and not unsure:
             strength, width = float(np.median(sampler.plant(final.line))), float(np.median(final.width))
             pieces = sight.strands.pieces

@@ -14,6 +14,7 @@ from flora_common.vision.path.apex import Apex, Followed, judged
 from flora_common.vision.path.chain import Before
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.nearby import Nearby
+from flora_common.vision.path.rivals import Rivals
 from flora_common.vision.reading import JUMPED, OK, PictureOutcome
 
 LEAST_SEEN: Final = 0.35
@@ -40,6 +41,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         sure: whether it was clear, in some picture by itself, which part of the plant is the stem.
         near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
         petiole: for how many more clear pictures the line is doubted, because it was a petiole's.
+        rivals: how likely its end and others have been lately.
     """
 
     line_px: list[tuple[float, float]]
@@ -51,6 +53,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sure: bool = True
     near: Nearby | None = None
     petiole: int = 0
+    rivals: Rivals | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +63,7 @@ class State:
     Attributes:
         measured_cm: length of the stem in this picture by itself.
         followed: the apex of the picture before in this one.
-        length, apex, elsewhere, sure, near, petiole: see :class:`Memory`.
+        length, apex, elsewhere, sure, near, petiole, rivals: see :class:`Memory`.
     """
 
     length: LengthState
@@ -71,6 +74,7 @@ class State:
     elsewhere: int = 0
     sure: bool = True
     petiole: int = 0
+    rivals: Rivals | None = None
 
 
 def before_of(memory: Memory | None, time_s: float) -> Before | None:
@@ -107,7 +111,7 @@ def remembered(
         count = memory.doubts + 1
         if count < (ASTRAY_BELIEVED if astray else DOUBTS_BELIEVED):
             known = _as_of_now(memory, state) if astray else memory
-            return msgspec.structs.replace(known, doubts=count)
+            return msgspec.structs.replace(known, doubts=count, rivals=state.rivals)
         # of a new place the length is known, but not what the old one's history says of it
         belief = LengthState(state.length.time_s, state.measured_cm)
     else:
@@ -124,6 +128,7 @@ def remembered(
         sure=state.sure,
         near=near,
         petiole=state.petiole,
+        rivals=state.rivals,
     )
 
 

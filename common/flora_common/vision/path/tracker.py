@@ -31,6 +31,7 @@ from flora_common.vision.path.memory import (
     doubted_for,
     remembered,
 )
+from flora_common.vision.path.rivals import after as rivals_after
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
@@ -161,7 +162,7 @@ class PathTracker:
             if doubts.unsure_of_end(final, sampler, scale, above_cm, ahead_cm):
                 return None
         near = nearby.again(memory.near, survey)
-        state = State(belief, stem.length / scale, followed, apex, near)
+        state = State(belief, stem.length / scale, followed, apex, near, rivals=memory.rivals)
         reading, after = self._told(final, state, evidence, "", "")
         if reading.outcome != OK:
             return None
@@ -176,15 +177,15 @@ class PathTracker:
             return bad_picture(unusable)
         if evidence.empty:
             return no_stem("nothing at the anchor differs from the empty setup")
-        scale = self.camera.px_per_cm
-        followed = Followed(self.memory.apex if self.memory else None, evidence, time_s, scale)
-        elsewhere = doubted_for(self.memory)
+        memory, scale = self.memory, self.camera.px_per_cm
+        followed = Followed(memory.apex if memory else None, evidence, time_s, scale)
+        elsewhere = doubted_for(memory)
         if followed.there is not None and along_way.is_refuted(followed.there, sight.ways, scale, elsewhere=elsewhere):
             followed = Followed(None, evidence, time_s, scale)
-        before = before_of(self.memory, time_s)
+        before = before_of(memory, time_s)
         before = before and replace(before, line_px=followed.drawn(before.line_px))
         sampler = Sampler(evidence)
-        past = Past(self.memory, before, followed, time_s)
+        past = Past(memory, before, followed, time_s)
         fit = self._fitter.found(sight, sampler, past)
         if isinstance(fit, str):
             return no_stem(fit)
@@ -198,16 +199,18 @@ class PathTracker:
                 fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
         final, apex = self._ended(fit.reached, fit.tip, followed, belief)
-        told = self._fitter.judged(fit, final, sight, sampler, past)
+        rivals = rivals_after(memory.rivals if memory else None, sight.ways, final.line[-1], time_s, scale)
+        told = self._fitter.judged(fit, final, sight, sampler, past, rivals)
         doubt = told.doubt or self._doubt_of_start(sight, fit.chain, final)
         unsure = told.unsure
         if followed.is_astray(final.line[-1]):
             unsure = "it ends elsewhere than the apex before, which is still to be seen"
         if elsewhere > STEPS_BELIEVED:
             unsure = "another part of the plant has looked more like the stem for some time"
-        known = self.memory.near if self.memory is not None else None
+        known = memory.near if memory else None
         kept = near if told.is_clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
-        state = State(belief, fit.reached.length / scale, followed, apex, kept, elsewhere, told.is_sure, told.petiole)
+        length_cm = fit.reached.length / scale
+        state = State(belief, length_cm, followed, apex, kept, elsewhere, told.is_sure, told.petiole, rivals)
         reading, self.memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 

@@ -1,0 +1,62 @@
+"""Another apex that has been as likely as the stem's end for some time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flora_common.arrays import FloatArray
+from flora_common.vision.path import rivals
+from flora_common.vision.path.guide import Way
+from flora_common.vision.path.rivals import Rivals
+
+SCALE = 20.0
+TIP = np.array([100.0, 100.0])
+HOOK = TIP + SCALE * np.array([-0.8, 0.3])
+
+
+def way(tip_px: FloatArray, sure: float) -> Way:
+    return Way(tip_px, sure, np.stack([np.array([100.0, 300.0]), tip_px]), np.full(2, 0.9))
+
+
+def seen(before: Rivals | None, here: float, elsewhere: float, time_s: float) -> Rivals:
+    return rivals.after(before, [way(TIP, here), way(HOOK, elsewhere)], TIP, time_s, SCALE)
+
+
+@pytest.mark.parametrize(("elsewhere", "strong"), [(0.1, False), (0.17, False), (0.19, True), (0.4, True)])
+def test_a_first_picture_is_judged_by_itself(elsewhere: float, strong: bool) -> None:
+    assert seen(None, 0.3, elsewhere, 0.0).are_strong is strong
+
+
+def test_one_picture_is_no_rival_and_an_hour_of_them_is() -> None:
+    state = seen(None, 0.35, 0.05, 0.0)
+    state = seen(state, 0.2, 0.35, 300.0)
+    assert not state.are_strong
+    for k in range(2, 14):
+        state = seen(state, 0.2, 0.35, 300.0 * k)
+    assert state.are_strong
+    for k in range(14, 32):
+        state = seen(state, 0.35, 0.05, 300.0 * k)
+    assert not state.are_strong
+
+
+@pytest.mark.parametrize("every_s", [300.0, 900.0, 3600.0])
+def test_what_is_known_after_four_hours_hangs_little_on_how_often_pictures_came(every_s: float) -> None:
+    state = seen(None, 0.35, 0.05, 0.0)
+    for k in range(1, round(4 * 3600.0 / every_s) + 1):
+        state = seen(state, 0.2, 0.3, every_s * k)
+    assert (state.here, state.elsewhere) == pytest.approx((0.203, 0.295), abs=0.003)
+
+
+def test_an_apex_near_the_end_is_the_same_and_none_at_all_counts_as_none() -> None:
+    both = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.45 * SCALE, 0.3)], TIP, 0.0, SCALE)
+    # the second lies 0.64 cm away, along the diagonal
+    assert (both.here, both.elsewhere) == (0.2, 0.3)
+    near = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.3 * SCALE, 0.3)], TIP, 0.0, SCALE)
+    assert (near.here, near.elsewhere) == (0.3, 0.0)
+    assert rivals.after(None, [], TIP, 0.0, SCALE) == Rivals(0.0, 0.0, 0.0)
+
+
+def test_a_time_that_goes_back_changes_nothing() -> None:
+    state = seen(None, 0.35, 0.05, 600.0)
+    assert seen(state, 0.0, 0.9, 300.0).elsewhere == state.elsewhere
