@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -54,9 +56,37 @@ def test_an_apex_near_the_end_is_the_same_and_none_at_all_counts_as_none() -> No
     assert (both.here, both.elsewhere) == (0.2, 0.3)
     near = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.3 * SCALE, 0.3)], TIP, 0.0, SCALE)
     assert (near.here, near.elsewhere) == (0.3, 0.0)
-    assert rivals.after(None, [], TIP, 0.0, SCALE) == Rivals(0.0, 0.0, 0.0)
+    assert rivals.after(None, [], TIP, 0.0, SCALE) == Rivals(0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_tip_is_as_uncertain_as_a_place_that_is_either() -> None:
+    state = seen(None, 0.3, 0.3, 0.0)
+    assert state.away_cm == pytest.approx(math.hypot(0.8, 0.3))
+    assert state.tip_error_cm == pytest.approx(0.5 * state.away_cm)
+    assert seen(None, 0.3, 0.1, 0.0).tip_error_cm == 0.0
+    for k in range(1, 60):
+        state = rivals.after(state, [way(TIP, 0.3)], TIP, 300.0 * k, SCALE)
+    assert state.tip_error_cm == 0.0
+    assert state.away_cm == pytest.approx(math.hypot(0.8, 0.3))  # of what there was
 
 
 def test_a_time_that_goes_back_changes_nothing() -> None:
     state = seen(None, 0.35, 0.05, 600.0)
     assert seen(state, 0.0, 0.9, 300.0).elsewhere == state.elsewhere
+
+
+def test_the_top_of_a_hook_round_which_the_stem_goes_is_no_rival() -> None:
+    round_it = np.array(
+        [[100.0, 300.0], [100.0, 120.0], [110.0, 105.0], [125.0, 105.0], [133.0, 120.0], [133.0, 132.0]]
+    )
+    stem = Way(round_it[-1], 0.3, round_it, np.full(6, 0.9))
+    faint = Way(round_it[-1], 0.3, round_it, np.array([0.9, 0.9, 0.9, 0.2, 0.2, 0.2]))
+    top, known = way(round_it[2], 0.3), Rivals(0.0, 0.3, 0.0, 0.0)
+
+    def later(before: Rivals | None, along: Way, tip_px: FloatArray) -> Rivals:
+        return rivals.after(before, [along, top], tip_px, 36_000.0, SCALE)
+
+    assert not later(known, stem, round_it[-1]).are_strong
+    assert later(known, faint, round_it[-1]).are_strong
+    assert later(known, stem, round_it[2]).are_strong  # where the top is followed, the end is a rival
+    assert later(None, stem, round_it[-1]).are_strong  # nothing but this picture tells

@@ -248,6 +248,8 @@ class PathTracker:
         uncertainty = uncertainty_mm(stem, line_cm, points, tip_mm, self.camera.px_per_cm)
         seen = float(stem.seen.mean())
         outcome, reason = self._judge(stem, seen, float(uncertainty[-1]), belief.time_s)
+        if state.rivals is not None:
+            uncertainty[-1] = math.hypot(uncertainty[-1], 10.0 * state.rivals.tip_error_cm)
         if doubt and outcome in (OK, JUMPED):
             outcome, reason = OCCLUDED, doubt
         if unsure and outcome == OK:
