@@ -13,8 +13,8 @@ from diagnose_runs import known, scenes_of, warm_course
 
 from flora_lab.diagnose import explain, search
 from flora_lab.diagnose.courses import COURSES
-from flora_lab.diagnose.explain import MOST_CAUSES, SECOND, Explainer
-from flora_lab.diagnose.explanation import CLAIM, Accepted, Explanation, Stage, Tried
+from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
+from flora_lab.diagnose.explanation import CLAIM, FIRST, SECOND, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
@@ -115,8 +115,8 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     explainer = Explainer(scenes_of((80,)), known())
     explanation = explained("late")
     late, stage = explanation.accepted, explanation.stages[0]  # a clock has no form that could be wrong
-    assert explainer._needed(stage, ()) == explainer.claim
-    assert explainer._needed(stage, late) == explainer.second_claim < CLAIM <= explainer.claim
+    assert explainer._needed(stage, ()) == explainer.first_claim
+    assert explainer._needed(stage, late) == explainer.second_claim < FIRST <= explainer.first_claim
     assert explainer._needed(stage, (*late, *late)) == explainer.claim
 
 
@@ -124,9 +124,10 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     ("gains", "besides"),
     [
         ({"growth_rate": 5.0, "camera_roll": 1.0}, 0.0),
-        ({"growth_rate": 5.0, "camera_roll": 4.5}, 3.0),  # it may be the other one
-        ({"camera_roll": 5.0, "growth_rate": 4.5}, 3.0),
-        ({"proprioception": 5.0, "growth_rate": 1.0}, 3.0),
+        ({"growth_rate": 5.0, "camera_roll": 4.5}, 4.0),  # it may be the other one
+        ({"camera_roll": 5.0, "growth_rate": 4.5}, 4.0),
+        ({"proprioception": 5.0, "growth_rate": 1.0}, 4.0),
+        ({"stiffening": 5.0, "growth_rate": 1.0}, 2.0),
     ],
 )
 def test_what_plants_of_another_law_look_like_needs_more_to_be_named_first(
@@ -135,7 +136,7 @@ def test_what_plants_of_another_law_look_like_needs_more_to_be_named_first(
     explainer, explanation = Explainer(scenes_of((80,)), known()), explained("late")
     tried = tuple(Tried(BY_NAME[name], gain, None) for name, gain in gains.items())
     stage = replace(explanation.stages[0], tried=tried)
-    assert explainer._needed(stage, ()) == explainer.claim + besides
+    assert explainer._needed(stage, ()) == explainer.first_claim + besides
     assert explainer._needed(stage, explanation.accepted) == explainer.second_claim
 
 
@@ -187,7 +188,7 @@ def test_an_explanation_holds_together(which: str) -> None:
         assert best.hypothesis.names() == (*stage.before.hypothesis.names(), slow[0].effect.name)
     for one in explanation.accepted:
         assert one.tried is one.stage.tried[0]
-        assert one.tried.gain >= (CLAIM if one is explanation.accepted[0] else SECOND)
+        assert one.tried.gain >= (FIRST if one is explanation.accepted[0] else SECOND)
 
 
 def test_temperature_is_looked_at_where_it_is_told() -> None:
@@ -299,13 +300,13 @@ def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPa
 def test_as_much_is_asked_of_another_constant_of_the_plant_as_of_any_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     of_constants = {effect.name for effect in CATALOGUE if effect.forms and effect.is_of_constants}
     assert of_constants == {"growth_rate", "stiffening", "gravitropism", "proprioception", "phototropic_gain"}
-    monkeypatch.setattr(explain, "CLAIM", 1000.0)
+    monkeypatch.setattr(explain, "FIRST", 1000.0)
     slow: Effects = {"growth_rate": {"factor": 0.45}}
     with one_blas_thread():
         grown, unequal = (Explainer(scenes_of((80, 81), hidden), known()).explain() for hidden in (slow, UNEQUAL))
     for explanation, first in ((grown, "growth_rate"), (unequal, "lamp_asymmetry")):
         assert explanation.stages[0].tried[0].effect.name == first
-        assert CLAIM < explanation.stages[0].tried[0].gain < 1000.0
+        assert FIRST < explanation.stages[0].tried[0].gain < 1000.0
         assert names(explanation) == ()
 
 

@@ -219,7 +219,7 @@ def test_a_cause_that_was_nearly_named_is_set_against_nothing() -> None:
     near = explanation_of(scenes, base, {"gravitropism": 4.0, "sag": 1.0}, "nothing taken")
     assert [one.name for one in candidates_of(near)] == [NOTHING, "gravitropism"]
     assert list(next_experiment(scenes, base, near).map) == ["nothing / gravitropism"]
-    far = explanation_of(scenes, base, {"gravitropism": 2.0}, "nothing taken")
+    far = explanation_of(scenes, base, {"gravitropism": 1.5}, "nothing taken")
     assert candidates_of(far) == []
 
 

@@ -180,7 +180,7 @@ def test_what_comes_nearest_to_a_name_is_told_where_none_is_given() -> None:
     text = nearest(none_named)
     assert "pull of the light" in text
     assert "6 times as probable" in text
-    assert text.endswith("a name takes 55 times.")  # e^1.8, and e^4
+    assert text.endswith("a name takes 20 times.")  # e^1.8, and e^3
     assert text in summary([], NONE_LEFT, text)
     assert text not in summary([], MUCH_LEFT, text)
     assert nearest(named_one) == ""

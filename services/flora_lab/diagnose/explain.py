@@ -10,7 +10,7 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, rhythm, search
-from flora_lab.diagnose.explanation import CLAIM, SWING, Accepted, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import CLAIM, FIRST, SECOND, SWING, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
@@ -29,9 +29,6 @@ _BY_CHANCE: Final = 0.5
 _MOST_DOUBT: Final = 4.0
 _AS_GOOD: Final = 1.0
 """Nats within which the first cause may be another one, and needs what that one would."""
-SECOND: Final = 2.0
-"""Nats that the second cause needs: where one is at work, another is no surprise. Of those with 2 to 4 nats about every
-second one is there (docs/results/discovery.md), and its confidence says so."""
 FORM: Final = 0.015
 """Share of the evidence for causes in the plant that one cause more needs besides: what is wrong in the form of these
 looks like something else. A camera or a clock that is off has no form, and another constant has that of the law."""
@@ -86,8 +83,9 @@ class Explainer:
         self.known = known
         more = max(1.0, len(scenes) / _RUNS)
         doubt = more * _doubt_of(known)
-        self.claim = CLAIM + doubt
+        self.first_claim = FIRST + doubt
         self.second_claim = SECOND + doubt
+        self.claim = CLAIM + doubt
         self.nameless = more * NAMELESS + doubt
         self.better = BETTER + (more - 1.0) * NAMELESS
         self._on_step = on_step
@@ -171,7 +169,7 @@ class Explainer:
         """Nats that the best cause of a stage must have, on top of those accepted."""
         if not accepted:
             as_good = stage.tried[0].gain - _AS_GOOD
-            return self.claim + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
+            return self.first_claim + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
         least = self.second_claim if len(accepted) == 1 else self.claim

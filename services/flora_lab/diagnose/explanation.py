@@ -10,9 +10,14 @@ from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.effect import Effect
 
+FIRST: Final = 3.0
+"""Nats of evidence that the first cause needs; some need more (:attr:`flora_lab.effects.effect.Effect.first_needs`).
+Weak effects have 3 to 4, which healthy runs hardly ever show for the others (docs/results/discovery.md)."""
+SECOND: Final = 2.0
+"""Nats that the second one needs: where one is at work, another is no surprise. Of those with 2 to 4 nats about every
+second one is there, and its confidence says so."""
 CLAIM: Final = 4.0
-"""Nats of evidence that a cause needs beyond those that are named already; some need more where they come first, and
-the second one less."""
+"""Nats that any other needs beyond those that are named already, and to be kept beside them."""
 SWING: Final = "circumnutation"
 
 
@@ -81,7 +86,7 @@ class Explanation:
     stages: tuple[Stage, ...]
     accepted: tuple[Accepted, ...]
     joint: Joint
-    claim: float = CLAIM
+    claim: float = FIRST
     unnamed: Unnamed | None = None
 
     @property

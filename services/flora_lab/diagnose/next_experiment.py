@@ -20,7 +20,7 @@ import scipy.linalg
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
-from flora_lab.diagnose.explanation import CLAIM, Explanation
+from flora_lab.diagnose.explanation import FIRST, Explanation
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.rivals import last_choice, rivals
@@ -115,7 +115,7 @@ def candidates_of(explanation: Explanation) -> list[Candidate]:
     """The causes that may still be, the best one first; one or none where nothing is in question."""
     stage = last_choice(explanation)
     if stage is None:
-        near = [t for t in explanation.stages[-1].tried if t.found is not None and t.gain > 0.5 * CLAIM]
+        near = [t for t in explanation.stages[-1].tried if t.found is not None and t.gain > 0.5 * FIRST]
         nothing = [Candidate(NOTHING, explanation.found, 0.0)] if near else []
         return nothing + [Candidate(t.effect.name, t.found, 0.0) for t in near[:1] if t.found is not None]
     best = stage.tried[0]

@@ -37,7 +37,7 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
-    first_needs=3.0,
+    first_needs=4.0,
     same_as={
         "lamp_asymmetry": "a plumb line in the picture",
         "draught": "a plumb line in the picture",

@@ -44,4 +44,5 @@ EFFECT: Final = Effect(
         bending,
     ),
     sentence=sentence,
+    first_needs=2.0,
 )
