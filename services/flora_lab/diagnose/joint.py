@@ -18,6 +18,7 @@ from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
 from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.effect import Change
+from flora_lab.levenberg_marquardt import descended
 from flora_lab.simulator.tropism_traits import NAMES
 
 TRAITS: Final = len(NAMES)
@@ -27,6 +28,8 @@ STEPS: Final = 12
 _STEP_SD: Final = 0.1
 """Of differences, in standard deviations of what is known before."""
 _FARTHEST_SD: Final = 7.0
+_GAINED_NATS: Final = 0.02
+"""A step that gains no more is the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,24 +172,20 @@ class Joint:
         at = self._linearised(replace(start))
         if not np.isfinite(at.misfit):
             return at
-        damping = 1e-3
-        for _ in range(iterations):
-            normal, downhill = self._normal(at)
-            moved = False
-            while damping < 1e5:
-                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
-                new = self._moved(at, step)
-                if self._misfit_only(new) < at.misfit:
-                    new = self._linearised(new)
-                    # Where a stem can be simulated, but not those beside it, is no place to go on from.
-                    if np.isfinite(new.misfit):
-                        moved = at.misfit - new.misfit > 0.02
-                        at, damping = new, max(damping / 10.0, 1e-6)
-                        break
-                damping *= 10.0
-            if not moved:
-                break
-        return self._with_evidence(at)
+        return self._with_evidence(
+            descended(
+                at, self._normal, self._better, steps=iterations, damping=1e-3, most_damping=1e5, gained=_GAINED_NATS
+            )
+        )
+
+    def _better(self, at: Found, step: Array) -> Found | None:
+        """Where a step leads, if that is better; where a stem can be simulated, but not those beside it, is no place
+        to go on from."""
+        new = self._moved(at, step)
+        if not self._misfit_only(new) < at.misfit:
+            return None
+        new = self._linearised(new)
+        return new if np.isfinite(new.misfit) else None
 
     def screened(self, before: Found, cause: Cause, start: Array) -> Found:
         """Where one cause more would lead from one start, with about the evidence that it would come to.

@@ -1,8 +1,8 @@
 """What kind of plant it was that left a track: its traits, by maximum a posteriori probability.
 
 The residuals of a free run are whitened with the covariance that noise would give them (see
-:mod:`flora_lab.simulator.drives`), so that a slow swing counts once and not once per photograph. Levenberg-Marquardt,
-with derivatives by central differences, all of them side by side in one batch.
+:mod:`flora_lab.simulator.drives`), so that a slow swing counts once and not once per photograph. Derivatives are
+central differences, all of them side by side in one batch.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from flora_common.arrays import Array
 from flora_common.geometry import polyline_length
 from flora_common.shapes import STEM_POINTS
+from flora_lab.levenberg_marquardt import descended
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.law import Law, standing
 from flora_lab.simulator.measured import MeasuredRun
@@ -28,6 +29,8 @@ _PUSH: Final = {"bias": 0.02, "growth": 0.2}
 _DELTA_SD: Final = 0.2
 """Half the distance of central differences, in standard deviations of the prior."""
 _ITERATIONS: Final = 12
+_GAINED: Final = 1e-3
+"""A step by which the misfit falls no more is the last."""
 RANGE_SD: Final = 6.0
 
 
@@ -61,6 +64,23 @@ class Fitted:
     information: Array
     residual: Array
     jacobian: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """A plant that is tried.
+
+    Attributes:
+        traits: shape (traits,).
+        residual: measured minus simulated features, cm, shape (m,).
+        jacobian: of the features, shape (m, traits).
+        misfit: half the sum of squares, with the prior's.
+    """
+
+    traits: Array
+    residual: Array
+    jacobian: Array
+    misfit: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,34 +202,36 @@ def fit(seen: Observed, prior: Prior, covariance: Array, start: Array | None = N
     """
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     prior_root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
-    at = prior.mean.copy() if start is None else start.copy()
     spread = np.sqrt(np.diag(prior.covariance))
     low, high = prior.mean - RANGE_SD * spread, prior.mean + RANGE_SD * spread
-    features, jacobian = linearised(seen, at, spread)
-    cost = _cost(seen.features - features, at - prior.mean, whiten, prior_root)
-    damping = 1e-2
-    for _ in range(_ITERATIONS):
-        white = whiten @ jacobian
-        normal = white.T @ white + prior_root.T @ prior_root
-        downhill = white.T @ (whiten @ (seen.features - features)) - prior_root.T @ (prior_root @ (at - prior.mean))
-        moved = False
-        while damping < 1e4:
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill)
-            new = np.clip(at + step, low, high)
-            new_features, new_jacobian = linearised(seen, new, spread)
-            new_cost = _cost(seen.features - new_features, new - prior.mean, whiten, prior_root)
-            if new_cost < cost:
-                moved = cost - new_cost > 1e-3
-                at, features, jacobian, cost = new, new_features, new_jacobian, new_cost
-                damping = max(damping / 10.0, 1e-6)
-                break
-            damping *= 10.0
-        if not moved:
-            break
-    white = whiten @ jacobian
+
+    def about(traits: Array) -> _Tried:
+        features, jacobian = linearised(seen, traits, spread)
+        residual = seen.features - features
+        return _Tried(traits, residual, jacobian, _cost(residual, traits - prior.mean, whiten, prior_root))
+
+    def equations(at: _Tried) -> tuple[Array, Array]:
+        white = whiten @ at.jacobian
+        pull = white.T @ (whiten @ at.residual) - prior_root.T @ (prior_root @ (at.traits - prior.mean))
+        return white.T @ white + prior_root.T @ prior_root, pull
+
+    def better(at: _Tried, step: Array) -> _Tried | None:
+        new = about(np.clip(at.traits + step, low, high))
+        return new if new.misfit < at.misfit else None
+
+    found = descended(
+        about(prior.mean if start is None else start),
+        equations,
+        better,
+        steps=_ITERATIONS,
+        damping=1e-2,
+        most_damping=1e4,
+        gained=_GAINED,
+    )
+    white = whiten @ found.jacobian
     information = white.T @ white
     posterior = np.linalg.inv(information + prior_root.T @ prior_root)
-    return Fitted(at, posterior, information, seen.features - features, jacobian)
+    return Fitted(found.traits, posterior, information, found.residual, found.jacobian)
 
 
 def linearised(seen: Observed, at: Array, spread: Array) -> tuple[Array, Array]:
