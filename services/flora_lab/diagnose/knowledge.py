@@ -58,18 +58,15 @@ class Knowledge:
 
 
 def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:
-    """All that runs tell beside their plants; but for :attr:`Knowledge.cross_fit`.
+    """All that runs tell; but for :attr:`Knowledge.cross_fit`.
 
     Args:
         scenes: under the law.
-        best: learned from them.
+        best: learned from them, as if the law had no errors.
         law: its forms.
     """
-    best, errors = _with_errors(scenes, best)
-    # Plants that were learned as if the law had no errors differ by these, too, and are typical with them.
-    scattered = [errors.of_run(scene, end.traits[0], Change(), 0) for scene, end in zip(scenes, best.fits, strict=True)]
-    best, errors = _with_errors(scenes, learn.beside(scenes, best, scattered))
-    base, ends, parts = best.base, best.fits, best.parts
+    plants, errors = _plants_and_errors(scenes, best)
+    base, ends, parts = plants.base, plants.fits, plants.parts
     alone = base.of_single_runs()
     usual = [errors.of_run(scene, end.traits[0], Change()) for scene, end in zip(scenes, ends, strict=True)]
     runs = [
@@ -82,6 +79,19 @@ def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     shown = reference_residuals(scenes, base, ends)
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
+
+
+def _plants_and_errors(scenes: Sequence[Scene], best: Learned) -> tuple[Learned, UsualErrors]:
+    """Plants, and what the law is wrong in about them.
+
+    Plants that were learned as if the law had no errors differ by these, too, and are typical with them: they are
+    learned once more beside its errors, and the errors about these plants.
+    """
+    best, errors = _with_errors(scenes, best)
+    usual = [
+        errors.of_run(scene, fit.traits[0], Change(), together=0) for scene, fit in zip(scenes, best.fits, strict=True)
+    ]
+    return _with_errors(scenes, learn.beside(scenes, best, usual))
 
 
 def _with_errors(scenes: Sequence[Scene], best: Learned) -> tuple[Learned, UsualErrors]:
