@@ -126,7 +126,7 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
         ({"growth_rate": 5.0, "camera_roll": 1.0}, 0.0),
         ({"growth_rate": 5.0, "camera_roll": 4.5}, 4.0),  # it may be the other one
         ({"camera_roll": 5.0, "growth_rate": 4.5}, 4.0),
-        ({"proprioception": 5.0, "growth_rate": 1.0}, 3.0),
+        ({"proprioception": 5.0, "growth_rate": 1.0}, 4.0),
         ({"stiffening": 5.0, "growth_rate": 1.0}, 2.0),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -58,16 +58,18 @@ class Knowledge:
 
 
 def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:
-    """All that runs tell; but for :attr:`Knowledge.cross_fit`.
+    """All that runs tell beside their plants; but for :attr:`Knowledge.cross_fit`.
 
     Args:
         scenes: under the law.
-        best: learned from them, as if the law had no errors.
+        best: learned from them.
         law: its forms.
     """
-    plants, errors = _plants_and_errors(scenes, best)
-    base, ends, parts = plants.base, plants.fits, plants.parts
+    base, fits, parts = best.base, best.fits, best.parts
     alone = base.of_single_runs()
+    runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, parts, strict=True)]
+    ends = [_on(run, alone, fit) for run, fit in zip(runs, fits, strict=True)]
+    errors = usual_errors.usual_errors(runs, ends, alone)
     usual = [errors.of_run(scene, end.traits[0], Change()) for scene, end in zip(scenes, ends, strict=True)]
     runs = [
         ready(scene, alone, own, together=0, besides=besides, shift=shift)
@@ -79,27 +81,6 @@ def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     shown = reference_residuals(scenes, base, ends)
     return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
-
-
-def _plants_and_errors(scenes: Sequence[Scene], best: Learned) -> tuple[Learned, UsualErrors]:
-    """Plants, and what the law is wrong in about them.
-
-    Plants that were learned as if the law had no errors differ by these, too, and are typical with them: they are
-    learned once more beside its errors, and the errors about these plants.
-    """
-    best, errors = _with_errors(scenes, best)
-    usual = [
-        errors.of_run(scene, fit.traits[0], Change(), together=0) for scene, fit in zip(scenes, best.fits, strict=True)
-    ]
-    return _with_errors(scenes, learn.beside(scenes, best, usual))
-
-
-def _with_errors(scenes: Sequence[Scene], best: Learned) -> tuple[Learned, UsualErrors]:
-    """With each plant's fit carried on, and what the law is wrong in about these."""
-    alone = best.base.of_single_runs()
-    runs = [ready(scene, alone, own, together=0) for scene, own in zip(scenes, best.parts, strict=True)]
-    ends = [_on(run, alone, fit) for run, fit in zip(runs, best.fits, strict=True)]
-    return replace(best, fits=ends), usual_errors.usual_errors(runs, ends, alone)
 
 
 def law_of(

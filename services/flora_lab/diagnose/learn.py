@@ -89,19 +89,6 @@ def learned_by(scenes: Sequence[Scene], whole: Learned, kept: Sequence[int]) -> 
     return _together(runs, base, fits, parts)
 
 
-def beside(scenes: Sequence[Scene], so_far: Learned, errors: Sequence[tuple[Array, Array]]) -> Learned:
-    """What plants have in common where the law has errors, from where they were taken to have none.
-
-    Args:
-        scenes: the runs.
-        so_far: learned from them.
-        errors: in each run's features: on the mean, shape (m,), and covariance, shape (m, m).
-    """
-    alone = so_far.base.of_single_runs()
-    runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, so_far.parts, strict=True)]
-    return _together(runs, so_far.base, so_far.fits, so_far.parts, errors)
-
-
 def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Learned:
     """One round more: each run's plant, what plants have in common, and what happens by chance about them."""
     alone = so_far.base.of_single_runs()
@@ -116,17 +103,10 @@ def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Le
     return _together(runs, so_far.base, fits, parts)
 
 
-def _together(
-    runs: Sequence[Ready],
-    so_far: Base,
-    fits: list[Found],
-    parts: list[Array],
-    errors: Sequence[tuple[Array, Array]] | None = None,
-) -> Learned:
+def _together(runs: Sequence[Ready], so_far: Base, fits: list[Found], parts: list[Array]) -> Learned:
     """What the plants of fits have in common, and what happens by chance about them."""
     alone = so_far.of_single_runs()
-    known = errors or [(np.zeros(run.scene.size), np.zeros((run.scene.size, run.scene.size))) for run in runs]
-    linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, known, strict=True)]
+    linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
     base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far)
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
     return Learned(base, fits, parts, evidence)
@@ -159,13 +139,12 @@ def _are_near(fits: Sequence[Found]) -> list[bool]:
     return [bool((one / usual).max() <= _FAR_OFF) for one in away]
 
 
-def _linear(alone: Base, run: Ready, fit: Found, parts: Array, errors: tuple[Array, Array]) -> Linear:
+def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
     """A run, from its own fit carried on to any plant: linear, because the typical one may stand elsewhere."""
-    scene, (shift, besides) = run.scene, errors
+    scene = run.scene
     told, slopes = Joint([run], alone).features_of(fit, 0)
     told, slopes = told[: scene.size], slopes[: scene.size]
-    offset = scene.features - shift - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]])
-    return Linear(offset, slopes, parts, besides)
+    return Linear(scene.features - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]]), slopes, parts)
 
 
 def _population(runs: Sequence[Linear], base: Base) -> Base:

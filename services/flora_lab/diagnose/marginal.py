@@ -45,23 +45,21 @@ class Linear:
         slopes: of the features by the constants and the first stem, shape (m, 11).
         parts: covariances of what happens by chance, per unit, see :func:`flora_lab.diagnose.chance.covariances`,
             shape (parts, m, m).
-        besides: covariance of what is there besides, shape (m, m).
     """
 
     offset: Array
     slopes: Array
     parts: Array
-    besides: Array
 
     def residual(self, mean: Array) -> Array:
         """Measured minus what a plant with these constants would do, shape (m,)."""
         return np.asarray(self.offset - self.slopes[:, :TRAITS] @ mean)
 
     def covariance(self, sizes: Array, spread: Array) -> Array:
-        """Of the residual about the typical plant, shape (m, m): by chance, by how plants differ, because the first
-        stem is not known exactly, and by what is there besides."""
+        """Of the residual about the typical plant, shape (m, m): by chance, by how plants differ, and because the first
+        stem is not known exactly."""
         own = scipy.linalg.block_diag(spread, np.diag(START_SD**2))
-        whole = np.tensordot(sizes**2, self.parts, axes=1) + self.slopes @ own @ self.slopes.T + self.besides
+        whole = np.tensordot(sizes**2, self.parts, axes=1) + self.slopes @ own @ self.slopes.T
         whole[np.diag_indices_from(whole)] *= 1.0 + _ROUNDING
         return np.asarray(whole)
 

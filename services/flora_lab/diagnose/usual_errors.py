@@ -131,7 +131,7 @@ class UsualErrors:
             traits: of the plant about which all is linear, without what ``change`` adds, shape (9,).
             change: what causes change already.
             together: number of runs that will be explained together: all are off by what is not known of the mean,
-                which does not become less over many. With 0 there is only what differs from run to run.
+                which does not become less over many.
         """
         along = np.concatenate(directions(scene, traits, change), axis=1)
         scatter = np.diag(np.repeat(self.sizes, columns()) ** 2) + together * self.doubt

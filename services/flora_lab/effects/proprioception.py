@@ -34,7 +34,7 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
-    first_needs=3.0,
+    first_needs=4.0,
     same_as={
         "phototropic_gain": "a lamp that shines for a day and longer, beside fast turns",
         "adaptation": "a lamp that shines for a day and longer, beside fast turns",
