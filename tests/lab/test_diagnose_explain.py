@@ -14,7 +14,7 @@ from diagnose_runs import known, scenes_of, warm_course
 from flora_lab.diagnose import explain, search
 from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
-from flora_lab.diagnose.explanation import CLAIM, FIRST, SECOND, Accepted, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
@@ -117,7 +117,7 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     late, stage = explanation.accepted, explanation.stages[0]  # a clock has no form that could be wrong
     assert explainer._needed(stage, ()) == explainer.first_claim
     assert explainer._needed(stage, late) == explainer.second_claim < FIRST <= explainer.first_claim
-    assert explainer._needed(stage, (*late, *late)) == explainer.claim
+    assert explainer._needed(stage, (*late, *late)) == explainer.third_claim
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,7 @@ def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPa
     for name in late:
         fit = tried[name].found
         assert fit is not None
-        assert evidence_for_last(explanation.stages[0].before, fit) > CLAIM
+        assert evidence_for_last(explanation.stages[0].before, fit) > THIRD
         assert tried[name].gain <= 0.0
     assert not set(names(explanation)) & set(late)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, rhythm, search
-from flora_lab.diagnose.explanation import CLAIM, FIRST, SECOND, SWING, Accepted, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import FIRST, SECOND, SWING, THIRD, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
@@ -85,7 +85,7 @@ class Explainer:
         doubt = more * _doubt_of(known)
         self.first_claim = FIRST + doubt
         self.second_claim = SECOND + doubt
-        self.claim = CLAIM + doubt
+        self.third_claim = THIRD + doubt
         self.nameless = more * NAMELESS + doubt
         self.better = BETTER + (more - 1.0) * NAMELESS
         self._on_step = on_step
@@ -129,7 +129,7 @@ class Explainer:
         assert best.found is not None
         found = self._pruned(reached.joint, best.found, accepted)
         self._answer(found)
-        if swing is not None and self._swing(found).gain < self.claim:
+        if swing is not None and self._swing(found).gain < self.first_claim:
             # What seemed to swing was this cause.
             swing = None
             accepted = [one for one in accepted if one.tried.swing is None]
@@ -172,7 +172,7 @@ class Explainer:
             return self.first_claim + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        least = self.second_claim if len(accepted) == 1 else self.claim
+        least = self.second_claim if len(accepted) == 1 else self.third_claim
         return least + min(wrong, _MOST_OF_FORM)
 
     def _is_outdone(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
@@ -201,7 +201,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name))
-            if found.evidence - less.evidence >= self.claim:
+            if found.evidence - less.evidence >= self.first_claim:
                 continue
             found = less
             accepted.remove(earlier)
