@@ -94,10 +94,9 @@ def _alike() -> Iterator[str]:
                 yield f"| `{effect.name}`, `{other}` | {words}.{always} |"
 
 
-def main() -> None:
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    write_text(PAGE, page())
-
-
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description="Write the reference page of the causes.")
+    parser.add_argument("file", type=Path, nargs="?", default=PAGE)
+    file: Path = parser.parse_args().file
+    write_text(file, page())
+    print(f"wrote {file}")
