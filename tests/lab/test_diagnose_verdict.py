@@ -183,6 +183,8 @@ def test_what_comes_nearest_to_a_name_is_told_where_none_is_given() -> None:
     assert text.endswith("a name takes 20 times.")  # e^1.8, and e^3
     assert text in summary([], NONE_LEFT, text)
     assert text not in summary([], MUCH_LEFT, text)
+    just_short = replace(explanation_of({"phototropic_gain": 2.99}, found), accepted=())
+    assert nearest(just_short).endswith("20 times as probable as without; a name takes a little more.")
     assert nearest(named_one) == ""
     assert nearest(replace(explanation_of({"sag": 0.2, "draught": -3.0}, found), accepted=())) == ""
 

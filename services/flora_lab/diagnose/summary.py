@@ -27,9 +27,11 @@ def nearest(explanation: Explanation) -> str:
     best = explanation.nearest
     if best is None or best.gain < _WORTH_A_WORD:
         return ""
+    asked = times(explanation.claim)
+    more = "a little more" if asked == times(best.gain) else asked
     return (
         f"Nearest to a name comes {title(best.effect.name).lower()}: with it the runs are "
-        f"{times_as_probable(best.gain)}; a name takes {times(explanation.claim)}."
+        f"{times_as_probable(best.gain)}; a name takes {more}."
     )
 
 
