@@ -10,7 +10,7 @@ from diagnose_runs import CHANCE, TYPICAL, base, change_of, individual, scene_of
 
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.chance import MEASURED, PARTS
-from flora_lab.diagnose.explanation import FIRST
+from flora_lab.diagnose.explanation import FIRST, THIRD
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.scene import START_SD, Scene
@@ -84,7 +84,7 @@ def test_two_effects_come_back_together() -> None:
     one = alone(joint, null, "clock_offset")
     both = joint.fit(search.best_start(joint, one, Cause(BY_NAME["lamp_asymmetry"])), 12)
     assert both.hypothesis.names() == ("clock_offset", "lamp_asymmetry")
-    assert both.evidence > one.evidence + FIRST > null.evidence + 2.0 * FIRST
+    assert both.evidence > one.evidence + THIRD > null.evidence + 2.0 * THIRD
     late, pull = both.values()
     assert late["offset_h"] == pytest.approx(0.6, abs=0.15)
     assert pull["right_to_left"] == pytest.approx(0.6, rel=0.2)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.explanation import FIRST
+from flora_lab.diagnose.explanation import FIRST, THIRD
 from flora_lab.diagnose.rhythm import (
     BAND_H,
     Spectrum,
@@ -54,7 +54,7 @@ def looked(runs: list[Array]) -> Swing:
 def test_a_swing_is_found_with_period_and_amplitude(period_h: float, amplitude_cm: float) -> None:
     runs = [noise(seed) + amplitude_cm * np.sin(2.0 * np.pi * TIME_H / period_h + seed) for seed in (1, 2)]
     found = looked(runs)
-    assert found.evidence > FIRST
+    assert found.evidence > THIRD
     assert is_plausible(found)
     assert found.period_h == pytest.approx(period_h, rel=0.03)
     assert found.amplitude_cm == pytest.approx(amplitude_cm, rel=0.2)
@@ -70,7 +70,7 @@ def test_a_swing_whose_phase_drifts_is_found_too() -> None:
         drift = np.cumsum(rng.normal(0.0, np.sqrt(2.0 * STEP_H / 12.0), STEPS))
         runs.append(noise(seed) + 0.5 * np.sin(2.0 * np.pi * TIME_H / 1.8 + drift))
     found = looked(runs)
-    assert found.evidence > FIRST
+    assert found.evidence > THIRD
     assert found.period_h == pytest.approx(1.8, rel=0.05)
     assert found.amplitude_cm == pytest.approx(0.5, rel=0.3)
 
@@ -96,7 +96,7 @@ def test_a_tip_that_lamps_make_swing_is_no_swing() -> None:
     assert 0.5 * 0.2**2 < swings.follows < 2.0 * 0.2**2  # of the power; tried in steps of a half
     forewarned = best_swing(left[10:], [swings.expectations(moved)] * 2)
     naive = best_swing(left[10:], [healthy().expectations(none_moves())] * 2)
-    assert naive.evidence > FIRST
+    assert naive.evidence > THIRD
     assert naive.period_h == pytest.approx(2.0, rel=0.03)
     assert forewarned.evidence < FIRST
     assert healthy().expected(none_moves()).max() < 2.0 * healthy().power.max()
@@ -169,7 +169,7 @@ def test_a_swing_is_told_from_what_else_is_wrong_in_all_of_the_band(period_h: fl
         turn = 2.0 * np.pi * TIME_H / period_h + seed
         runs.append(6.0 * noise(seed) + 0.9 * np.sin(turn) + 0.3 * np.sin(2.0 * turn))
     found = looked(runs)
-    assert found.evidence > FIRST
+    assert found.evidence > THIRD
     assert found.period_h == pytest.approx(period_h, rel=0.02)
     alone = looked([6.0 * noise(seed) for seed in (1, 2, 3)])
     assert alone.evidence < FIRST
