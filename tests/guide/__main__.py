@@ -23,6 +23,8 @@ import torch
 
 from flora_common import files
 from guide.examples import Example, drawing_examples, read_examples, twin_examples, write_examples
+from guide.misleading import misleading_example
+from guide.modelled import modelled_example
 from guide.samples import sample
 from guide.training import train
 from guide.whole import arrays_of, in_whole_numbers
@@ -43,11 +45,24 @@ def bare_examples(seed: int) -> list[Example]:
     return [wild_example(seed + k, is_bare=True) for k in range(WILD_PER_FILE)]
 
 
+def misleading_examples(seed: int) -> list[Example]:
+    """Such as are easily mistaken."""
+    return [misleading_example(seed + k) for k in range(WILD_PER_FILE)]
+
+
+def modelled_examples(seed: int) -> list[Example]:
+    """Plants in three dimensions."""
+    found = (modelled_example(seed + k) for k in range(WILD_PER_FILE))
+    return [example for example in found if example is not None]
+
+
 KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] = {
-    "drawing": (drawing_examples, 810_000, 1, 0.34),
-    "twin": (twin_examples, 500_000, 1, 0.1),
-    "wild": (wild_examples, 1_000_000, WILD_PER_FILE, 0.48),
-    "bare": (bare_examples, 1_500_000, WILD_PER_FILE, 0.08),
+    "drawing": (drawing_examples, 810_000, 1, 0.22),
+    "twin": (twin_examples, 500_000, 1, 0.09),
+    "wild": (wild_examples, 1_000_000, WILD_PER_FILE, 0.29),
+    "bare": (bare_examples, 1_500_000, WILD_PER_FILE, 0.03),
+    "misleading": (misleading_examples, 2_500_000, WILD_PER_FILE, 0.08),
+    "modelled": (modelled_examples, 3_000_000, WILD_PER_FILE, 0.29),
 }
 """How each is made, its first seed, how far seeds are apart, and its share of all samples."""
 
@@ -69,12 +84,16 @@ def main() -> None:
     parser.add_argument("--twins", type=int, default=60, help="individuals of the virtual box (60)")
     parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
-    parser.add_argument("--steps", type=int, default=24_000, help="of training (24000)")
+    parser.add_argument(
+        "--misleading", type=int, default=100, help=f"times {WILD_PER_FILE} that are easily mistaken (100)"
+    )
+    parser.add_argument("--modelled", type=int, default=300, help=f"times {WILD_PER_FILE} in three dimensions (300)")
+    parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     folder = options.out / "examples"
     folder.mkdir(parents=True, exist_ok=True)
-    counts = {"drawing": options.drawings, "twin": options.twins, "wild": options.wild, "bare": options.bare}
+    counts = {kind: getattr(options, kind + "s" * (kind in ("drawing", "twin"))) for kind in KINDS}
     examples = []
     with ProcessPoolExecutor(options.jobs) as pool:
         for kind, count in counts.items():

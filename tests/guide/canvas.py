@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -25,6 +26,26 @@ SHAPES: Final = tuple(_SHAPES)
 """Of blades, by where they are widest."""
 _BLUNT: Final = {"linear": 0.6, "heart": 0.7}
 _BLADE_POINTS: Final = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What leaves of a plant have besides shape and colour.
+
+    Attributes:
+        two_toned: code units by which one half is brighter than the other.
+        lobes: how deep the margin is cut, as a share of the half width.
+        midrib: how broad it is, as a share of the blade's width, where it is seen as a stem would be.
+        rib: its colour.
+    """
+
+    two_toned: float = 0.0
+    lobes: float = 0.0
+    midrib: float = 0.0
+    rib: Colour | None = None
+
+
+PLAIN: Final = Look()
 
 
 def corners(places: Floats) -> list[npt.NDArray[np.int32]]:
@@ -129,6 +150,7 @@ class Canvas:
         colour: Colour,
         curl: float,
         fold: float,
+        look: Look = PLAIN,
     ) -> None:
         """A leaf's blade.
 
@@ -141,6 +163,7 @@ class Canvas:
             colour: of its middle.
             curl: by how much it turns from base to end, rad.
             fold: 0..1, how much narrower one half looks, which is turned away.
+            look: of all leaves of its plant.
         """
         u = np.linspace(0.0, 1.0, _BLADE_POINTS)
         widest = _SHAPES[shape]
@@ -148,6 +171,8 @@ class Canvas:
         half = (outline / outline.max()) ** _BLUNT.get(shape, 0.85) * size_cm[1] / 2 * PX_PER_CM
         if rng.random() < 0.3:
             half = half * (1.0 + 0.08 * np.sin(u * rng.uniform(20, 50)))
+        if look.lobes:
+            half = half * (1.0 - look.lobes * (0.5 + 0.5 * np.sin(u * rng.uniform(15, 45))))
         angle = direction + curl * u
         step = size_cm[0] / (_BLADE_POINTS - 1) * PX_PER_CM
         middle = base + np.concatenate(
@@ -157,7 +182,13 @@ class Canvas:
         narrow = int(rng.random() < 0.5)
         for k, side in enumerate((1.0, -1.0)):
             rim = middle + side * aside * ((1.0 - fold) if k == narrow else 1.0)
-            self._fill(np.concatenate([middle, rim[::-1]]), colour + rng.normal() * 6.0 * (1.0 + 2.0 * fold))
+            tone = rng.normal() * 6.0 * (1.0 + 2.0 * fold) + 0.5 * side * look.two_toned
+            self._fill(np.concatenate([middle, rim[::-1]]), colour + tone)
+        if look.rib is not None and look.midrib:
+            wide = max(1, round(look.midrib * size_cm[1] * PX_PER_CM))
+            mask = np.zeros(self.shape, np.uint8)
+            cv2.polylines(mask, corners(middle[:-3]), False, 255, wide, cv2.LINE_8, SHIFT)
+            self._lay(mask, look.rib, 0.9)
         if rng.random() < 0.7:
             self._veins(rng, middle, aside, size_cm[0], colour + rng.uniform(-4, 14))
 

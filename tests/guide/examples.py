@@ -14,7 +14,7 @@ from flora_common import files
 from flora_common.arrays import ByteArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
-from flora_common.vision.path.evidence import PlantFinder
+from flora_common.vision.path.evidence import Evidence, PlantFinder
 from flora_common.vision.path.settings import PathSettings
 from guide.canvas import PX_PER_CM, Floats
 from truth_run import TruthFrame, twin_run
@@ -41,14 +41,19 @@ def photographed(finder: PlantFinder, camera: CameraSection, frame: TruthFrame) 
     """A photograph with a known stem as the finder sees it; None where it sees nothing."""
     picture = cv2.imdecode(np.frombuffer(frame.jpeg, np.uint8), cv2.IMREAD_COLOR)
     seen = finder.find(np.asarray(picture, dtype=np.uint8))
+    line_px = frame.centreline_cm * [camera.px_per_cm, -camera.px_per_cm] + np.array(camera.anchor_px)
+    return as_seen(seen, line_px, camera.px_per_cm)
+
+
+def as_seen(seen: Evidence, line_px: Floats, px_per_cm: float) -> Example | None:
+    """What was found of a plant, with its stem's line, shape (n, 2), px of the picture; None where that is nothing."""
     if seen.empty:
         return None
     height, width = seen.plant.shape
-    size = [max(8, round(v * PX_PER_CM / camera.px_per_cm)) for v in (width, height)]
+    size = [max(8, round(v * PX_PER_CM / px_per_cm)) for v in (width, height)]
     how = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
     plant = cv2.resize(np.minimum(seen.plant, 127.0), size, interpolation=how).astype(np.uint8)
     code = cv2.resize(seen.code, size, interpolation=how)
-    line_px = frame.centreline_cm * [camera.px_per_cm, -camera.px_per_cm] + np.array(camera.anchor_px)
     line = (line_px - seen.origin_px + 0.5) * [size[0] / width, size[1] / height] - 0.5
     return Example(plant, np.asarray(code, dtype=np.uint8), line.astype(np.float32))
 

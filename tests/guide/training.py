@@ -17,7 +17,7 @@ from flora_common.vision.path.convolutions import CHANNELS, DECODER, DILATIONS, 
 from guide.examples import Example
 from guide.samples import sample
 
-WIDTHS: Final = 16, 24, 40, 64
+WIDTHS: Final = 16, 32, 64, 128
 """Channels of each level."""
 BATCH: Final = 16
 RATE, WARM_UP, POWER, DECAY, LEAST_RATE = 2e-3, 200, 0.9, 1e-4, 1e-3

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from flora_common.vision.path.survey import CLEAR, LEAST_EVIDENCE, plant_score
-from guide.canvas import PX_PER_CM, SHAPES, Canvas, Colour, Floats, along, patches
+from guide.canvas import PLAIN, PX_PER_CM, SHAPES, Canvas, Colour, Floats, along, patches
 from guide.examples import Example
 
 UP: Final = -np.pi / 2
@@ -119,28 +119,33 @@ class Plant:
         line, angle, length_cm: of its stem.
         width_cm: of its stem at the anchor.
         colours: of all parts.
+
+    Attributes:
+        behind, before: what draws its parts, behind the stem and before it.
+        look: of its leaves.
     """
 
     def __init__(
         self, rng: np.random.Generator, line: Floats, angle: Floats, length_cm: float, width_cm: float, colours: Colours
     ) -> None:
-        self._rng, self._line, self._angle, self._length, self._width = rng, line, angle, length_cm, width_cm
-        self._colours = colours
+        self.rng, self.line, self.angle, self.length_cm, self.width_cm = rng, line, angle, length_cm, width_cm
+        self.colours = colours
+        self.look = PLAIN
         self.behind: list[Callable[[Canvas], None]] = []
         self.before: list[Callable[[Canvas], None]] = []
 
     def bear_leaves(self) -> None:
         """Cotyledons, leaves, and young leaves round the apex."""
-        rng = self._rng
+        rng = self.rng
         if rng.random() < 0.7:
-            self._cotyledons()
-        self._leaves()
+            self.cotyledons()
+        self.leaves()
         for _ in range(rng.integers(0, 4)):
-            self._leaf(
+            self.leaf(
                 float(rng.uniform(0, 0.7)),
                 rng.choice([-1, 1]),
                 float(rng.uniform(0.3, 2.2)),
-                self._colours.young,
+                self.colours.young,
                 float(rng.uniform(0, 0.8) * (rng.random() < 0.6)),
                 str(rng.choice(SHAPES)),
                 leaves_at=float(rng.uniform(0, 1.6)),
@@ -152,13 +157,13 @@ class Plant:
 
     def _bud(self) -> None:
         """The youngest leaves, still folded: they go on from the apex as if they were the stem."""
-        rng = self._rng
+        rng = self.rng
         for _ in range(rng.integers(1, 4)):
             share = rng.uniform(0, 1)
-            colour = self._colours.young * share + self._colours.of_stem(1.0) * (1.0 - share) + rng.normal() * 6.0
+            colour = self.colours.young * share + self.colours.of_stem(1.0) * (1.0 - share) + rng.normal() * 6.0
             shape, length = str(rng.choice(["linear", "linear", "elliptic", "ovate"])), float(rng.uniform(0.3, 2.4))
             aside = abs(float(rng.normal())) * 0.35
-            self._leaf(
+            self.leaf(
                 float(rng.uniform(0, 0.12)),
                 rng.choice([-1, 1]),
                 length,
@@ -171,39 +176,39 @@ class Plant:
 
     def _veil(self) -> None:
         """A broad leaf or two on short stalks near the end, as hooks bear them, and are hidden by."""
-        rng = self._rng
+        rng = self.rng
         for side in (1, -1)[: rng.integers(1, 3)]:
             length, shape = float(rng.uniform(1.2, 4.0)), str(rng.choice(["heart", "ovate", "elliptic"]))
-            self._leaf(float(rng.uniform(0.5, 4.0)), side, length, self._colours.young, rng.uniform(0.1, 0.6), shape)
+            self.leaf(float(rng.uniform(0.5, 4.0)), side, length, self.colours.young, rng.uniform(0.1, 0.6), shape)
 
-    def _cotyledons(self) -> None:
-        rng = self._rng
-        share = rng.uniform(0.15, 0.75) if self._length > 4.0 else rng.uniform(0.4, 1.0)
+    def cotyledons(self) -> None:
+        rng = self.rng
+        share = rng.uniform(0.15, 0.75) if self.length_cm > 4.0 else rng.uniform(0.4, 1.0)
         for side in (1, -1):
             if rng.random() < 0.8:
-                colour = self._colours.cotyledon if rng.random() < 0.7 else self._colours.leaf
+                colour = self.colours.cotyledon if rng.random() < 0.7 else self.colours.leaf
                 shape = str(rng.choice(["elliptic", "obovate", "ovate"]))
-                self._leaf(
-                    (1.0 - share) * self._length, side, rng.uniform(0.4, 2.0), colour, rng.uniform(0.05, 0.4), shape
+                self.leaf(
+                    (1.0 - share) * self.length_cm, side, rng.uniform(0.4, 2.0), colour, rng.uniform(0.05, 0.4), shape
                 )
 
-    def _leaves(self) -> None:
-        rng = self._rng
+    def leaves(self) -> None:
+        rng = self.rng
         below_cm, shape, size = rng.uniform(0.4, 3.0), str(rng.choice(SHAPES)), rng.uniform(0.8, 6.0)
         opposite, side = rng.random() < 0.5, rng.choice([-1, 1])
-        while below_cm < 0.8 * self._length:
+        while below_cm < 0.8 * self.length_cm:
             length = size * rng.uniform(0.5, 1.2) * min(1.0, 0.25 + below_cm / 6.0)
-            colour = self._colours.leaf if below_cm > 2.0 else self._colours.young
+            colour = self.colours.leaf if below_cm > 2.0 else self.colours.young
             for here in (1, -1) if opposite or rng.random() < 0.3 else (side,):
                 if rng.random() < 0.92:
                     stalk = rng.uniform(0.1, 4.0) * min(1.0, 0.15 + below_cm / 5.0)
                     # some stalks go on as the stem does
                     leaves_at = float(rng.uniform(0.0, 0.35)) if rng.random() < 0.1 else None
                     form = str(rng.choice(FORMS, p=SHARES_OF_FORMS))
-                    self._leaf(below_cm, here, length, colour, stalk, shape, form=form, leaves_at=leaves_at)
+                    self.leaf(below_cm, here, length, colour, stalk, shape, form=form, leaves_at=leaves_at)
             side, below_cm = -side, below_cm + rng.uniform(1.0, 6.0)
 
-    def _leaf(
+    def leaf(
         self,
         below_cm: float,
         side: int,
@@ -215,17 +220,30 @@ class Plant:
         form: str = "simple",
         leaves_at: float | None = None,
         is_stiff: bool = False,
+        is_behind: bool | None = None,
+        stalk_share: tuple[float, float] = (0.25, 0.75),
     ) -> None:
-        """A leaf of one of :data:`FORMS` on its stalk, so far below the apex; it leaves the stem at an angle, rad; a
-        stiff one goes on so."""
-        rng = self._rng
+        """A leaf on its stalk.
+
+        Args:
+            below_cm: so far below the apex.
+            side: -1 or 1.
+            length_cm, colour, shape: of its blade.
+            stalk_cm: length of its stalk.
+            form: of :data:`FORMS`.
+            leaves_at: angle to the stem, rad; any where it is not told.
+            is_stiff: it goes on as its stalk does.
+            is_behind: whether the stem hides it; by chance where it is not told.
+            stalk_share: least and greatest width of its stalk, as a share of the stem's.
+        """
+        rng = self.rng
         stalk_cm = max(stalk_cm, 0.8 * length_cm) if form == "pinnate" else stalk_cm
-        share = float(np.clip(1.0 - below_cm / self._length, 0.0, 1.0))
-        angle = self._angle[int(share * (len(self._angle) - 1))]
+        share = float(np.clip(1.0 - below_cm / self.length_cm, 0.0, 1.0))
+        angle = self.angle[int(share * (len(self.angle) - 1))]
         angle += side * (rng.uniform(0.3, 1.5) if leaves_at is None else leaves_at)
         stalk, angles = curve(rng, angle, max(0.15, stalk_cm), 0.3, (0.0, 1.0), rng.normal() * 0.3)
-        stalk = stalk + along(self._line, share)
-        stalk_width = self._width * rng.uniform(0.25, 0.75)
+        stalk = stalk + along(self.line, share)
+        stalk_width = self.width_cm * rng.uniform(*stalk_share)
         heading = angles[-1] + rng.normal() * (0.1 if is_stiff else 0.5)
         if rng.random() < 0.5 and not is_stiff:  # it hangs
             down = (-UP - heading + np.pi) % (2 * np.pi) - np.pi
@@ -235,16 +253,18 @@ class Plant:
 
         def draw(canvas: Canvas) -> None:
             if stalk_cm > 0.15:
-                canvas.band(stalk, (stalk_width, 0.8 * stalk_width), lambda _: self._colours.stalk, own.uniform(0, 6))
+                canvas.band(stalk, (stalk_width, 0.8 * stalk_width), lambda _: self.colours.stalk, own.uniform(0, 6))
             lit = colour + own.normal() * 5.0
             if form == "pinnate":
                 self._leaflets(canvas, own, stalk, angles, (length_cm, width_cm), lit, shape)
                 return
             for turn, size in ((1.2, 0.8), (-1.2, 0.8), (0.0, 1.0)) if form == "threefold" else ((0.0, 1.0),):
                 sides = (length_cm * size, width_cm * size)
-                canvas.blade(own, stalk[-1], heading + turn, sides, shape, lit + own.normal() * 3.0, curl, fold)
+                tone = lit + own.normal() * 3.0
+                canvas.blade(own, stalk[-1], heading + turn, sides, shape, tone, curl, fold, self.look)
 
-        (self.before if rng.random() < 0.45 else self.behind).append(draw)
+        by_chance = rng.random() >= 0.45
+        (self.behind if (by_chance if is_behind is None else is_behind) else self.before).append(draw)
 
     def _leaflets(
         self,
@@ -263,14 +283,16 @@ class Plant:
             angle = float(angles[int(share * (len(angles) - 1))])
             for side in (turn, -turn):
                 lit = colour + rng.normal() * 4.0
-                canvas.blade(rng, along(stalk, share), angle + side, small, shape, lit, 0.2, rng.random() ** 2)
+                canvas.blade(
+                    rng, along(stalk, share), angle + side, small, shape, lit, 0.2, rng.random() ** 2, self.look
+                )
         if rng.random() < 0.5:
-            canvas.blade(rng, stalk[-1], float(angles[-1]), small, shape, colour, 0.2, rng.random() ** 2)
+            canvas.blade(rng, stalk[-1], float(angles[-1]), small, shape, colour, 0.2, rng.random() ** 2, self.look)
             return
         for _ in range(rng.integers(1, 4)):
             heading, curls = float(angles[-1] + rng.normal() * 0.5), (rng.normal() * 4.0, rng.uniform(0.5, 2.0))
             tendril, _ = curve(rng, heading, rng.uniform(0.5, 3.5), 0.6, curls, 0.0)
-            canvas.band(stalk[-1] + tendril, (0.07, 0.04), lambda _: self._colours.stalk, 0.0)
+            canvas.band(stalk[-1] + tendril, (0.07, 0.04), lambda _: self.colours.stalk, 0.0)
 
 
 def wild_example(seed: int, *, is_bare: bool = False) -> Example:
@@ -278,7 +300,19 @@ def wild_example(seed: int, *, is_bare: bool = False) -> Example:
     rng = np.random.default_rng([seed, 7])
     line, angle, length = draw_stem(rng)
     width = min(float(rng.uniform(0.15, 0.65)), 0.5 if length < 4.0 else 1.0)
-    colours = draw_colours(rng)
+    return photographed(
+        Plant(rng, line, angle, length, width, draw_colours(rng)), (lambda _: None) if is_bare else Plant.bear_leaves
+    )
+
+
+def photographed(plant: Plant, bears: Callable[[Plant], None]) -> Example:
+    """A plant before a board, in some light, as the finder sees it.
+
+    Args:
+        plant: whose stem is drawn.
+        bears: grows its leaves.
+    """
+    rng, line, colours, width = plant.rng, plant.line, plant.colours, plant.width_cm
     low, high = line.min(axis=0) - np.array(AROUND_CM) * PX_PER_CM, line.max(axis=0) + np.array(AROUND_CM) * PX_PER_CM
     high[1] = min(high[1], max(line[0, 1] + BELOW_CM * PX_PER_CM, line[:, 1].max() + HANGS_CM * PX_PER_CM))
     height, across = ((high - low)[::-1]).astype(int)
@@ -289,9 +323,8 @@ def wild_example(seed: int, *, is_bare: bool = False) -> Example:
         empty += patches(rng, shape, rng.uniform(3, 30), rng.uniform(0, 6))[..., None]
     empty += patches(rng, shape, 150, 8)[..., None]
     grain = patches(rng, shape, rng.uniform(2, 15), rng.uniform(0, 5)) + patches(rng, shape, 60, rng.uniform(0, 8))
-    canvas, plant = Canvas(empty, grain), Plant(rng, line, angle, length, width, colours)
-    if not is_bare:
-        plant.bear_leaves()
+    canvas, plant.line = Canvas(empty, grain), line
+    bears(plant)
     if rng.random() < 0.5:
         off = rng.normal(size=2) * PX_PER_CM
         canvas.shadow(line + off, max(1, int(width * PX_PER_CM)), float(rng.uniform(1, 8)), float(rng.uniform(2, 25)))
