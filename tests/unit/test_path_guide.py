@@ -21,7 +21,7 @@ from guide.misleading import misleading_example
 from guide.modelled import modelled_example
 from guide.wild import wild_example
 
-HELD_OUT: Final = range(5_000_000, 5_000_060)
+HELD_OUT: Final = range(2_000_000, 2_000_060)
 """Plants that were not learnt from."""
 
 
@@ -201,14 +201,16 @@ def test_a_sure_stem_ends_beyond_the_networks_apex_in_its_direction(sure: float,
     assert moved == pytest.approx([0.6 * beyond_cm, -0.8 * beyond_cm], abs=1e-9)
 
 
-@pytest.mark.parametrize(("made", "off_by_cm"), [(wild_example, 0.5), (misleading_example, 0.6)])
-def test_plants_that_were_not_learnt_from_are_seen(made: Callable[[int], Example | None], off_by_cm: float) -> None:
+@pytest.mark.parametrize(
+    ("made", "off_by_cm", "share_of_trivial"), [(wild_example, 0.5, 0.1), (misleading_example, 0.6, 0.3)]
+)
+def test_plants_that_were_not_learnt_from_are_seen(
+    made: Callable[[int], Example], off_by_cm: float, share_of_trivial: float
+) -> None:
     """Beside a trivial answer, the plant's place that is farthest from the anchor."""
     off_cm, trivial_cm, line_cm = [], [], []
     for seed in HELD_OUT:
         example = made(seed)
-        if example is None:
-            continue
         evidence = seen(example)
         line = example.line + evidence.origin_px
         best = guide.everywhere(evidence, line[0].astype(np.float64), PX_PER_CM)[0]
@@ -222,7 +224,7 @@ def test_plants_that_were_not_learnt_from_are_seen(made: Callable[[int], Example
         apart = np.hypot(*(best.line_px[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1)
         line_cm.append(float(np.median(apart)) / PX_PER_CM)
     assert np.median(off_cm) < off_by_cm
-    assert np.median(off_cm) < 0.3 * np.median(trivial_cm)
+    assert np.median(off_cm) < share_of_trivial * np.median(trivial_cm)
     assert np.median(line_cm) < 0.06
 
 
