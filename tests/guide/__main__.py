@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import Final
@@ -35,34 +36,19 @@ TO_SCALE: Final = 128
 WILD_PER_FILE: Final = 50
 
 
-def wild_examples(seed: int) -> list[Example]:
-    """Some wild plants, each of a seed of its own."""
-    return [wild_example(seed + k) for k in range(WILD_PER_FILE)]
-
-
-def bare_examples(seed: int) -> list[Example]:
-    """The same without leaves."""
-    return [wild_example(seed + k, is_bare=True) for k in range(WILD_PER_FILE)]
-
-
-def misleading_examples(seed: int) -> list[Example]:
-    """Such as are easily mistaken."""
-    return [misleading_example(seed + k) for k in range(WILD_PER_FILE)]
-
-
-def modelled_examples(seed: int) -> list[Example]:
-    """Plants in three dimensions."""
-    found = (modelled_example(seed + k) for k in range(WILD_PER_FILE))
+def several(made: Callable[[int], Example | None], seed: int) -> list[Example]:
+    """Some plants, each of a seed of its own; without those of which the finder sees nothing."""
+    found = (made(seed + k) for k in range(WILD_PER_FILE))
     return [example for example in found if example is not None]
 
 
 KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] = {
     "drawing": (drawing_examples, 810_000, 1, 0.22),
     "twin": (twin_examples, 500_000, 1, 0.09),
-    "wild": (wild_examples, 1_000_000, WILD_PER_FILE, 0.29),
-    "bare": (bare_examples, 1_500_000, WILD_PER_FILE, 0.03),
-    "misleading": (misleading_examples, 2_500_000, WILD_PER_FILE, 0.08),
-    "modelled": (modelled_examples, 3_000_000, WILD_PER_FILE, 0.29),
+    "wild": (partial(several, wild_example), 1_000_000, WILD_PER_FILE, 0.29),
+    "bare": (partial(several, partial(wild_example, is_bare=True)), 1_500_000, WILD_PER_FILE, 0.03),
+    "misleading": (partial(several, misleading_example), 2_500_000, WILD_PER_FILE, 0.08),
+    "modelled": (partial(several, modelled_example), 3_000_000, WILD_PER_FILE, 0.29),
 }
 """How each is made, its first seed, how far seeds are apart, and its share of all samples."""
 
@@ -80,8 +66,10 @@ def main() -> None:
     """Make what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/guide"))
-    parser.add_argument("--drawings", type=int, default=400, help="drawn individuals, eight pictures each (400)")
-    parser.add_argument("--twins", type=int, default=60, help="individuals of the virtual box (60)")
+    parser.add_argument(
+        "--drawings", dest="drawing", type=int, default=400, help="drawn individuals, eight pictures each (400)"
+    )
+    parser.add_argument("--twins", dest="twin", type=int, default=60, help="individuals of the virtual box (60)")
     parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
     parser.add_argument(
@@ -93,7 +81,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = options.out / "examples"
     folder.mkdir(parents=True, exist_ok=True)
-    counts = {kind: getattr(options, kind + "s" * (kind in ("drawing", "twin"))) for kind in KINDS}
+    counts = {kind: getattr(options, kind) for kind in KINDS}
     examples = []
     with ProcessPoolExecutor(options.jobs) as pool:
         for kind, count in counts.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -185,24 +185,22 @@ class Canvas:
             tone = rng.normal() * 6.0 * (1.0 + 2.0 * fold) + 0.5 * side * look.two_toned
             self._fill(np.concatenate([middle, rim[::-1]]), colour + tone)
         if look.rib is not None and look.midrib:
-            wide = max(1, round(look.midrib * size_cm[1] * PX_PER_CM))
-            mask = np.zeros(self.shape, np.uint8)
-            cv2.polylines(mask, corners(middle[:-3]), False, 255, wide, cv2.LINE_8, SHIFT)
-            self._lay(mask, look.rib, 0.9)
+            self._stroke([middle[:-3]], max(1, round(look.midrib * size_cm[1] * PX_PER_CM)), look.rib, 0.9)
         if rng.random() < 0.7:
             self._veins(rng, middle, aside, size_cm[0], colour + rng.uniform(-4, 14))
 
     def _veins(self, rng: np.random.Generator, middle: Floats, aside: Floats, length_cm: float, colour: Colour) -> None:
-        mask = np.zeros(self.shape, np.uint8)
-        cv2.polylines(mask, corners(middle[:-2]), False, 255, int(rng.integers(1, 3)), cv2.LINE_8, SHIFT)
-        self._lay(mask, colour, 0.6)
+        self._stroke([middle[:-2]], int(rng.integers(1, 3)), colour, 0.6)
         if length_cm > 2.0 and rng.random() < 0.6:
-            mask[:] = 0
-            for k in range(3, _BLADE_POINTS - 4, 3):
-                for side in (0.8, -0.8):
-                    vein = np.array([middle[k], middle[k + 3] + side * aside[k + 3]])
-                    cv2.polylines(mask, corners(vein), False, 255, 1, cv2.LINE_8, SHIFT)
-            self._lay(mask, colour, 0.4)
+            at = range(3, _BLADE_POINTS - 4, 3)
+            veins = [np.array([middle[k], middle[k + 3] + side * aside[k + 3]]) for k in at for side in (0.8, -0.8)]
+            self._stroke(veins, 1, colour, 0.4)
+
+    def _stroke(self, lines: Sequence[Floats], width_px: int, colour: Colour, share: float) -> None:
+        mask = np.zeros(self.shape, np.uint8)
+        for line in lines:
+            cv2.polylines(mask, corners(line), False, 255, width_px, cv2.LINE_8, SHIFT)
+        self._lay(mask, colour, share)
 
     def _fill(self, outline: Floats, colour: Colour) -> None:
         mask = np.zeros(self.shape, np.uint8)

@@ -19,6 +19,10 @@ STEP_CM: Final = 0.12
 UP: Final = np.array([0.0, 1.0, 0.0])
 ALONG, ACROSS = 11, 9
 """Points of a blade."""
+MOST_NODES: Final = 18
+LEAST_AHEAD: Final = 0.15
+OFF_LINE: Final = np.array([0.01, 0.02, 0.03])
+"""A hook that would turn to where it points already turns a little beside that."""
 ROUND_END: Final = 0.7
 """Where the apex lies in its rounded end, as a share of the half width."""
 
@@ -50,6 +54,25 @@ class Leafage:
     stalk_colour: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class Stem:
+    """What leaves stand on.
+
+    Attributes:
+        axis, tangent: shape (n, 3), anchor first, and its direction.
+        to_end_cm, radius_cm: shape (n,), along the axis.
+    """
+
+    axis: Floats
+    tangent: Floats
+    to_end_cm: Floats
+    radius_cm: Floats
+
+    def at(self, below_cm: float) -> int:
+        """The point that is so far below its end."""
+        return int(np.searchsorted(-self.to_end_cm, -below_cm).clip(1, len(self.axis) - 1))
+
+
 class Shoot:
     """A shoot of any habit.
 
@@ -74,20 +97,21 @@ class Shoot:
         axis, tangent = self._axis(length, is_hooked=rng.random() < (0.8 if habit == "seedling" else 0.35))
         width = min(float(rng.uniform(0.12, 0.65)), 0.15 + 0.12 * length)
         leaf = self._leafage(habit, length)
-        stem = self._stem_colour(leaf)
+        colour = self._stem_colour(leaf)
         radius = 0.5 * width * np.linspace(1.0, rng.uniform(0.35, 0.95), len(axis))
         end = radius[-1]
         to_end = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0, prepend=axis[-1:]), axis=1))[::-1]
         inside = np.clip(1.0 - to_end / (1.6 * end), 0.0, 1.0)
         self.surfaces.tube(
-            axis, np.maximum(0.02, radius * np.sqrt(1.0 - 0.95 * inside**2)), stem(np.linspace(0, 1, len(axis)))
+            axis, np.maximum(0.02, radius * np.sqrt(1.0 - 0.95 * inside**2)), colour(np.linspace(0, 1, len(axis)))
         )
+        stem = Stem(axis, tangent, to_end, radius)
         if habit != "bare":
-            self._leaves(axis, tangent, to_end, radius, leaf, habit)
+            self._leaves(stem, leaf, habit)
         if rng.random() < (0.85 if habit == "seedling" else 0.35):
-            self._cotyledons(axis, tangent, to_end, radius, leaf, habit)
+            self._cotyledons(stem, leaf, habit)
         if rng.random() < (0.4 if habit == "bare" else 0.06):
-            self._flowers(axis, tangent, end, leaf)
+            self._flowers(stem, leaf)
         return axis[to_end >= (1.0 - ROUND_END) * end]
 
     def _axis(self, length: float, *, is_hooked: bool) -> tuple[Floats, Floats]:
@@ -113,19 +137,16 @@ class Shoot:
             directions[k] = tangent
             change = wander[k] + upwards * UP + lit * towards
             if (count - 1 - k) * step < over and turn:
-                plane = np.cross(tangent, np.cross(tangent, towards + 0.3 * tangent))
-                ahead = -plane if np.linalg.norm(plane) > 0.15 else self._hook_side(tangent, towards)
-                change = change + turn / over * (ahead / (np.linalg.norm(ahead) + 1e-9))
+                ahead = _across(towards, tangent)
+                if np.linalg.norm(ahead) <= LEAST_AHEAD:
+                    ahead = _across(towards + OFF_LINE, tangent)
+                change = change + turn / over * _unit(ahead)
                 towards = towards - 0.9 * step * turn / over * tangent
             if zigzag and int(k * step / node) != int((k - 1) * step / node):
                 change = change + (1 if int(k * step / node) % 2 else -1) * zigzag / step * np.array([1.0, 0.0, 0.2])
             tangent = tangent + step * change
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(directions[:-1] * step, axis=0)])
         return places, directions
-
-    @staticmethod
-    def _hook_side(tangent: Floats, towards: Floats) -> Floats:
-        return np.cross(np.cross(tangent, towards + np.array([0.01, 0.02, 0.03])), tangent)
 
     def _leafage(self, habit: str, length: float) -> Leafage:
         rng = self._rng
@@ -191,53 +212,38 @@ class Shoot:
 
         return of
 
-    def _leaves(self, axis: Floats, tangent: Floats, to_end: Floats, radius: Floats, leaf: Leafage, habit: str) -> None:
+    def _leaves(self, stem: Stem, leaf: Leafage, habit: str) -> None:
         rng = self._rng
-        length, below = to_end[0], float(rng.uniform(0.0, 0.25))
+        length, below = stem.to_end_cm[0], float(rng.uniform(0.0, 0.25))
         full_cm, zone = float(rng.uniform(0.7, 6.0)), float(rng.uniform(0.3, 3.0))
         around = str(rng.choice(["alternate", "spiral", "opposite", "whorl"], p=[0.3, 0.3, 0.3, 0.1]))
-        azimuth, lowest = (
-            float(rng.uniform(0, 2 * np.pi)),
-            float(rng.uniform(0.1, 0.6) if rng.random() < 0.5 else 0.93) * length,
-        )
-        lowest, ripe = max(lowest, 0.6), float(rng.uniform(0.3, max(0.8, 0.4 * length)))
-        smallest = float(rng.uniform(0.05, 0.4))
+        count = {"opposite": 2, "whorl": 3}.get(around, 1)
+        onwards = {"alternate": np.pi, "spiral": 2.4, "opposite": np.pi / 2, "whorl": np.pi / 3}[around]
+        azimuth = float(rng.uniform(0, 2 * np.pi))
+        lowest = max(0.6, float(rng.uniform(0.1, 0.6) if rng.random() < 0.5 else 0.93) * length)
+        ripe, smallest = float(rng.uniform(0.3, max(0.8, 0.4 * length))), float(rng.uniform(0.05, 0.4))
         number = 0
-        while below < lowest and number < 18:
-            age = 1.0 - np.exp(-((below / ripe) ** 1.3))
-            if habit == "seedling":
-                age *= 0.5
-            at = int(np.searchsorted(-to_end, -below).clip(1, len(axis) - 1))
-            for k in range({"opposite": 2, "whorl": 3}.get(around, 1)):
+        while below < lowest and number < MOST_NODES:
+            age = (1.0 - np.exp(-((below / ripe) ** 1.3))) * (0.5 if habit == "seedling" else 1.0)
+            for k in range(count):
                 if rng.random() < 0.94:
-                    turn = azimuth + 2 * np.pi * k / (3 if around == "whorl" else 2)
-                    self._leaf(axis[at], tangent[at], turn, radius[at], leaf, smallest + (1 - smallest) * age, age)
-            azimuth += {"alternate": np.pi, "spiral": 2.4, "opposite": np.pi / 2, "whorl": np.pi / 3}[
-                around
-            ] + rng.normal() * 0.15
+                    turn = azimuth + 2 * np.pi * k / max(2, count)
+                    self._leaf(stem, stem.at(below), turn, leaf, smallest + (1 - smallest) * age, age)
+            azimuth += onwards + rng.normal() * 0.15
             below += float(0.06 + full_cm * (1.0 - np.exp(-(below + 0.05) / zone)) * rng.uniform(0.7, 1.3))
             number += 1
         for _ in range(rng.integers(2, 8) if rng.random() < 0.1 else 0):  # a rosette
-            self._leaf(
-                axis[1],
-                tangent[1],
-                float(rng.uniform(0, 2 * np.pi)),
-                radius[1],
-                leaf,
-                float(rng.uniform(0.5, 1.0)),
-                1.0,
-            )
+            self._leaf(stem, 1, float(rng.uniform(0, 2 * np.pi)), leaf, float(rng.uniform(0.5, 1.0)), 1.0)
 
-    def _leaf(
-        self, base: Floats, stem: Floats, azimuth: float, radius: float, leaf: Leafage, size: float, age: float
-    ) -> None:
+    def _leaf(self, stem: Stem, at: int, azimuth: float, leaf: Leafage, size: float, age: float) -> None:
         """A leaf on its stalk: of some share of its full size, and of an age from 0, folded and steep, to 1."""
         rng = self._rng
         size *= float(rng.uniform(0.8, 1.2))
-        aside = _perpendicular(stem, azimuth)
+        tangent, radius = stem.tangent[at], stem.radius_cm[at]
+        aside = _perpendicular(tangent, azimuth)
         angle = leaf.young_at + (leaf.old_at - leaf.young_at) * age + rng.normal() * 0.12
-        heading = np.cos(angle) * stem + np.sin(angle) * aside
-        base = base + aside * radius * 0.6
+        heading = np.cos(angle) * tangent + np.sin(angle) * aside
+        base = stem.axis[at] + aside * radius * 0.6
         stalk = leaf.stalk * size * (0.2 + 0.8 * age)
         if stalk > 0.15:
             path = _bent(base, heading, stalk, leaf.droop * age * 0.5 - 0.12 * (1 - age), rng.normal(size=3) * 0.05)
@@ -246,17 +252,17 @@ class Shoot:
             )
             self.surfaces.tube(path, thick, leaf.stalk_colour, sides=6)
             base, heading = path[-1], _unit(path[-1] - path[-2])
-        length, fold = leaf.size_cm * size, 1.25 * (1 - age) ** 1.5 + leaf.fold * 0.5
+        length = leaf.size_cm * size
         level = _unit(
             np.cross(heading, np.cross(UP, heading))
             + 0.25 * rng.normal(size=3)
-            + 0.3 * np.cross(heading, np.cross(stem, heading))
+            + 0.3 * np.cross(heading, np.cross(tangent, heading))
         )
         if leaf.form in ("simple", "peltate"):
             if leaf.form == "peltate":  # its stalk stands under its middle
                 heading = _unit(np.cross(np.cross(heading, aside + 0.2 * UP), heading) + (1.0 - age) * heading)
                 base = base - 0.45 * length * heading
-            self._blade(base, heading, level, length, leaf, fold, age)
+            self._blade(base, heading, level, length, leaf, age)
             return
         side = np.cross(heading, level)
         if leaf.form in ("threefold", "palmate"):
@@ -268,7 +274,6 @@ class Shoot:
                     level,
                     length * (0.75 - 0.1 * abs(turn)),
                     leaf,
-                    fold,
                     age,
                 )
             return
@@ -280,19 +285,17 @@ class Shoot:
             for sign in (-1, 1):
                 turn = sign * (0.3 + 0.8 * age)
                 way = _unit(path[at] - path[at - 1]) if at else heading
-                self._blade(path[at], np.cos(turn) * way + np.sin(turn) * side, level, length * 0.42, leaf, fold, age)
+                self._blade(path[at], np.cos(turn) * way + np.sin(turn) * side, level, length * 0.42, leaf, age)
         if rng.random() < 0.75:
-            self._blade(path[-1], _unit(path[-1] - path[-2]), level, length * 0.45, leaf, fold, age)
+            self._blade(path[-1], _unit(path[-1] - path[-2]), level, length * 0.45, leaf, age)
         else:
             tendril = _bent(
                 path[-1], _unit(path[-1] - path[-2]), float(rng.uniform(0.5, 3.0)), 0.0, rng.normal(size=3) * 1.5
             )
             self.surfaces.tube(tendril, np.full(len(tendril), 0.025), leaf.stalk_colour, sides=4)
 
-    def _blade(
-        self, base: Floats, heading: Floats, level: Floats, length: float, leaf: Leafage, fold: float, age: float
-    ) -> None:
-        rng = self._rng
+    def _blade(self, base: Floats, heading: Floats, level: Floats, length: float, leaf: Leafage, age: float) -> None:
+        rng, fold = self._rng, 1.25 * (1 - age) ** 1.5 + leaf.fold * 0.5
         u, v = np.linspace(0.0, 1.0, ALONG), np.linspace(-1.0, 1.0, ACROSS)
         outline = u ** (leaf.widest / (1.0 - leaf.widest)) * (1.0 - u)
         half = (outline / outline.max()) ** 0.75 * 0.5 * leaf.aspect * length
@@ -321,46 +324,34 @@ class Shoot:
             rib = 0.5 * leaf.rib_width * np.linspace(1.0, 0.15, ALONG) * min(0.35, half.max())
             self.surfaces.tube(middle, np.maximum(rib, 0.015), np.clip(leaf.rib * tone, 0.01, 0.9), sides=4)
 
-    def _cotyledons(
-        self, axis: Floats, tangent: Floats, to_end: Floats, radius: Floats, leaf: Leafage, habit: str
-    ) -> None:
+    def _cotyledons(self, stem: Stem, leaf: Leafage, habit: str) -> None:
         rng = self._rng
         is_young = habit == "seedling"
-        at = int(
-            np.searchsorted(-to_end, -(rng.uniform(0, 0.3) if is_young else rng.uniform(0.2, 0.9) * to_end[0])).clip(
-                1, len(axis) - 1
-            )
-        )
-        azimuth, opened = (
-            float(rng.uniform(0, 2 * np.pi)),
-            float(abs(rng.normal()) * 0.5 if is_young else rng.uniform(0.6, 1.9)),
-        )
+        at = stem.at(rng.uniform(0, 0.3) if is_young else rng.uniform(0.2, 0.9) * stem.to_end_cm[0])
+        azimuth = float(rng.uniform(0, 2 * np.pi))
+        opened = float(abs(rng.normal()) * 0.5 if is_young else rng.uniform(0.6, 1.9))
         size, thick = float(rng.uniform(0.5, 2.0)), float(rng.uniform(0.12, 0.45))
         pale = np.array([rng.uniform(0.1, 0.5), rng.uniform(0.6, 0.95), 1.0]) * rng.uniform(0.15, 0.6)
         colour = pale + (leaf.front - pale) * rng.random()
         for turn in (azimuth, azimuth + np.pi)[: 1 if rng.random() < 0.15 else 2]:
-            aside = _perpendicular(tangent[at], turn)
-            heading = np.cos(opened) * tangent[at] + np.sin(opened) * aside
-            base = axis[at] + aside * (radius[at] + 0.2 * thick * size * is_young)
+            aside = _perpendicular(stem.tangent[at], turn)
+            heading = np.cos(opened) * stem.tangent[at] + np.sin(opened) * aside
+            base = stem.axis[at] + aside * (stem.radius_cm[at] + 0.2 * thick * size * is_young)
             path = _bent(base, heading, size, rng.normal() * 0.2, np.zeros(3))
             share = np.linspace(0.0, 1.0, len(path))
             swell = np.sqrt(np.maximum(0.0, 1.0 - (2.0 * share - 1.0) ** 2)) * 0.5 * size * thick
             self.surfaces.tube(path, np.maximum(swell, 0.02), np.clip(colour, 0.01, 0.9), sides=10)
 
-    def _flowers(self, axis: Floats, tangent: Floats, radius: float, leaf: Leafage) -> None:
-        rng = self._rng
+    def _flowers(self, stem: Stem, leaf: Leafage) -> None:
+        rng, top = self._rng, stem.tangent[-1]
         colour = np.exp(rng.normal(size=3) * 0.5) * rng.uniform(0.1, 0.8)
         for _ in range(rng.integers(1, 12)):
-            aside = _perpendicular(tangent[-1], float(rng.uniform(0, 2 * np.pi)))
+            aside = _perpendicular(top, float(rng.uniform(0, 2 * np.pi)))
             angle = float(rng.uniform(0, 1.5))
-            path = _bent(
-                axis[-1],
-                np.cos(angle) * tangent[-1] + np.sin(angle) * aside,
-                float(rng.uniform(0.15, 1.0)),
-                0.1,
-                np.zeros(3),
-            )
-            self.surfaces.tube(path, np.full(len(path), max(0.02, 0.3 * radius)), leaf.stalk_colour, sides=4)
+            heading = np.cos(angle) * top + np.sin(angle) * aside
+            path = _bent(stem.axis[-1], heading, float(rng.uniform(0.15, 1.0)), 0.1, np.zeros(3))
+            thick = np.full(len(path), max(0.02, 0.3 * stem.radius_cm[-1]))
+            self.surfaces.tube(path, thick, leaf.stalk_colour, sides=4)
             size, heading = float(rng.uniform(0.08, 0.3)), _unit(path[-1] - path[-2])
             bud = _bent(path[-1], heading, 2 * size, 0.0, np.zeros(3))
             share = np.linspace(0, 1, len(bud))
@@ -370,6 +361,11 @@ class Shoot:
 
 def _unit(vector: Floats) -> Floats:
     return vector / (np.linalg.norm(vector) + 1e-9)
+
+
+def _across(vector: Floats, direction: Floats) -> Floats:
+    """The part of a vector that is across a unit vector."""
+    return vector - (vector @ direction) * direction
 
 
 def _perpendicular(direction: Floats, azimuth: float) -> Floats:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from flora_common.arrays import ByteArray
-from guide.canvas import Floats, patches
+from guide.canvas import SHIFT, Floats, corners, patches
 
 FINER: Final = 2
 """Pictures are painted so much larger: edges are smooth then."""
@@ -22,7 +22,8 @@ CELL_CM: Final = 0.3
 THICK_CM: Final = 0.45
 BACK_LIT: Final = 0.45
 """Share of the light that comes through from the other side."""
-SHIFT: Final = 4
+LEAST_TOWARDS: Final = 0.15
+"""A light that grazes the board is as one that is so far before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,11 @@ class Light:
     towards: Floats
     colour: Floats
     blur_px: float
+
+    @property
+    def on_board(self) -> float:
+        """Cosine of its angle to the board's normal."""
+        return max(LEAST_TOWARDS, float(self.towards[2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +76,7 @@ class View:
 class Surfaces:
     """Quadrangles of all surfaces of a plant."""
 
-    _corners: list[Floats] = field(default_factory=list)
+    _quads: list[Floats] = field(default_factory=list)
     _front: list[Floats] = field(default_factory=list)
     _back: list[Floats] = field(default_factory=list)
 
@@ -82,10 +88,10 @@ class Surfaces:
             front: shape (n - 1, m - 1, 3), colours where its normal, along n cross along m, points to the camera.
             back: where it points away.
         """
-        corners = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2)
-        self._corners.append(corners.reshape(-1, 4, 3))
+        quads = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2)
+        self._quads.append(quads.reshape(-1, 4, 3))
         for kept, colours in ((self._front, front), (self._back, back)):
-            kept.append(np.broadcast_to(colours, (*corners.shape[:2], 3)).reshape(-1, 3))
+            kept.append(np.broadcast_to(colours, (*quads.shape[:2], 3)).reshape(-1, 3))
 
     def tube(self, axis: Floats, radius_cm: Floats, colours: Floats, sides: int = 8) -> None:
         """A stem, a stalk or a bud.
@@ -110,7 +116,7 @@ class Surfaces:
 
     def places(self) -> Floats:
         """All corners, shape (n, 3)."""
-        return np.concatenate(self._corners).reshape(-1, 3)
+        return np.concatenate(self._quads).reshape(-1, 3)
 
     def photographed(
         self, board: Floats, view: View, lights: tuple[Light, ...], ambient: float
@@ -123,10 +129,10 @@ class Surfaces:
             lights: with their shadows.
             ambient: light from everywhere.
         """
-        corners, front, back = (np.concatenate(v).astype(np.float64) for v in (self._corners, self._front, self._back))
-        normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+        quads, front, back = (np.concatenate(v).astype(np.float64) for v in (self._quads, self._front, self._back))
+        normal = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
-        middle = corners.mean(axis=1)
+        middle = quads.mean(axis=1)
         to_camera = np.array([0.0, 0.0, view.away_cm]) - middle
         away = (normal * to_camera).sum(axis=1) < 0
         normal[away] *= -1.0
@@ -138,13 +144,13 @@ class Surfaces:
             cosine = normal @ light.towards
             strength = np.where(cosine > 0, cosine, -BACK_LIT * cosine) * np.where(_hidden(middle, light), 0.15, 1.0)
             shine += strength[:, None] * light.colour
-            on_board = board * light.colour * max(0.15, light.towards[2])
+            on_board = board * light.colour * light.on_board
             empty += on_board
-            full += on_board * (1.0 - 0.85 * _shadow(corners, light, view))[..., None]
+            full += on_board * (1.0 - 0.85 * _shadow(quads, light, view))[..., None]
         lit = colour * shine
         shape = tuple(v * FINER for v in view.size_px)
         large = cv2.resize(full.astype(np.float32), shape, interpolation=cv2.INTER_LINEAR)
-        seen = np.round((view.to_px(corners) + 0.5) * (FINER << SHIFT) - (1 << SHIFT) / 2).astype(np.int32)
+        (seen,) = corners((view.to_px(quads) + 0.5) * FINER - 0.5)
         for k in np.argsort(middle[:, 2] + 1e-3 * normal[:, 2]):
             cv2.fillConvexPoly(large, seen[k], lit[k].tolist(), cv2.LINE_8, SHIFT)
         return cv2.resize(large, view.size_px, interpolation=cv2.INTER_AREA), empty.astype(np.float32)
@@ -162,12 +168,13 @@ def _hidden(places: Floats, light: Light) -> ByteArray:
     return nearest[tuple(cells.T)] - depth > THICK_CM
 
 
-def _shadow(corners: Floats, light: Light, view: View) -> Floats:
+def _shadow(quads: Floats, light: Light, view: View) -> Floats:
     """What a light does not reach of the board, shape (height, width), 0..1."""
-    far = (corners[..., 2:] + view.board_cm) / max(0.15, light.towards[2])
+    far = (quads[..., 2:] + view.board_cm) / light.on_board
     mask = np.zeros(view.size_px[::-1], np.uint8)
-    for quad in np.round(view.to_px(corners - far * light.towards) * (1 << SHIFT)).astype(np.int32):
-        cv2.fillConvexPoly(mask, np.clip(quad, -(1 << 20), 1 << 20), 255, cv2.LINE_8, SHIFT)
+    (seen,) = corners(view.to_px(quads - far * light.towards))
+    for quad in np.clip(seen, -(1 << 20), 1 << 20):
+        cv2.fillConvexPoly(mask, quad, 255, cv2.LINE_8, SHIFT)
     return cv2.GaussianBlur(mask, (0, 0), light.blur_px).astype(np.float32) / 255.0
 
 
