@@ -70,36 +70,36 @@ def main() -> None:
         "--drawings", dest="drawing", type=int, default=400, help="drawn individuals, eight pictures each (400)"
     )
     parser.add_argument("--twins", dest="twin", type=int, default=60, help="individuals of the virtual box (60)")
-    parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
+    parser.add_argument("--wild", type=int, default=360, help=f"times {WILD_PER_FILE} wild plants (360)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
     parser.add_argument(
-        "--misleading", type=int, default=100, help=f"times {WILD_PER_FILE} that are easily mistaken (100)"
+        "--misleading", type=int, default=150, help=f"times {WILD_PER_FILE} that are easily mistaken (150)"
     )
-    parser.add_argument("--modelled", type=int, default=300, help=f"times {WILD_PER_FILE} in three dimensions (300)")
+    parser.add_argument("--modelled", type=int, default=600, help=f"times {WILD_PER_FILE} in three dimensions (600)")
     parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     folder = options.out / "examples"
     folder.mkdir(parents=True, exist_ok=True)
     counts = {kind: getattr(options, kind) for kind in KINDS}
-    examples = []
+    examples: list[list[Example]] = []
     with ProcessPoolExecutor(options.jobs) as pool:
         for kind, count in counts.items():
             _, first, apart, _ = KINDS[kind]
             seeds = range(first, first + count * apart, apart)
-            paths = []
-            for path in pool.map(make, repeat(kind), seeds, repeat(folder)):
-                paths.append(path)
-                print(f"\r{kind}: {len(paths)} of {count}", end="", flush=True)
-            examples.append([example for path in paths for example in read_examples(path)])
+            examples.append([])
+            for done, path in enumerate(pool.map(make, repeat(kind), seeds, repeat(folder)), 1):
+                examples[-1].extend(read_examples(path))
+                print(f"\r{kind}: {done} of {count}", end="", flush=True)
             print(f", {len(examples[-1])} pictures")
     cv2.setNumThreads(1)
+    torch.set_num_threads(options.jobs)
     shares = [share for *_, share in KINDS.values()]
 
     def told(step: int, value: float) -> None:
         print(f"\rstep {step} of {options.steps}, loss {value:.4f}", end="", flush=True)
 
-    net = train(examples, shares, options.steps, options.out / "checkpoint.pt", told)
+    net = train(examples, shares, options.steps, options.out / "checkpoint.pt", options.jobs, told)
     rng = np.random.default_rng(5)
     kinds = rng.choice(len(examples), TO_SCALE)
     seen = [sample(examples[k][rng.integers(len(examples[k]))], rng)[0] for k in kinds]

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.utils.data import DataLoader, Dataset
 
 from flora_common import files
 from flora_common.vision.path.convolutions import CHANNELS, DECODER, DILATIONS, ENCODER
@@ -19,7 +20,7 @@ from guide.samples import sample
 
 WIDTHS: Final = 16, 32, 64, 128
 """Channels of each level."""
-BATCH: Final = 16
+BATCH: Final = 32
 RATE, WARM_UP, POWER, DECAY, LEAST_RATE = 2e-3, 200, 0.9, 1e-4, 1e-3
 """Of the steps' size: greatest, steps until then, how it falls to the last one, of weights; least, as a share."""
 STEM_COUNTS: Final = 4.0
@@ -59,7 +60,7 @@ class Trained(nn.Module):
             x = torch.cat([levels.pop(), functional.interpolate(x, scale_factor=2, mode="nearest")], 1)
             for name in names:
                 x = self.layers[name](x)
-        with torch.autocast("cpu", enabled=False):
+        with torch.autocast(x.device.type, enabled=False):
             return self.head(x.float())
 
 
@@ -80,54 +81,79 @@ def loss(said: Tensor, wanted: Tensor) -> Tensor:
     return (by_place * (1 + STEM_COUNTS * wanted[:, 0])).mean() + APEX_SHARE * focal
 
 
+class Batches(Dataset[tuple[Tensor, Tensor]]):
+    """What each step learns from, drawn anew of a seed of its own: who stops and goes on draws as who does not."""
+
+    def __init__(self, kinds: Sequence[Sequence[Example]], shares: Sequence[float], steps: range) -> None:
+        self.kinds, self.shares, self.steps = kinds, np.array(shares) / np.sum(shares), steps
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __getitem__(self, k: int) -> tuple[Tensor, Tensor]:
+        """What is seen, shape (BATCH, 4, side, side), and wanted, shape (BATCH, 2, side / 2, side / 2)."""
+        rng = np.random.default_rng([SEED, self.steps[k]])
+        drawn = rng.choice(len(self.kinds), size=BATCH, p=self.shares)
+        batch = [sample(self.kinds[k][rng.integers(len(self.kinds[k]))], rng) for k in drawn]
+        seen, wanted = (torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True))
+        return seen, wanted
+
+
 def train(
     kinds: Sequence[Sequence[Example]],
     shares: Sequence[float],
     steps: int,
     checkpoint: Path,
+    jobs: int,
     told: Callable[[int, float], None],
 ) -> Trained:
-    """Train for so many steps, or what is left of them.
+    """Train for so many steps, or what is left of them; on a graphics card where torch finds one.
 
     Args:
         kinds, shares: examples of each kind, and how many of a batch are of it.
         steps: in all.
         checkpoint: what is done is kept here every :data:`SAVED_EVERY` steps, and gone on with.
+        jobs: processes that draw.
         told: step and mean loss of the last hundred.
     """
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(SEED)
-    net = Trained().to(memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=DECAY)
+    net = Trained().to(device, memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=DECAY, fused=True)
     done = 0
     if checkpoint.exists():
-        kept = torch.load(checkpoint, weights_only=True)
+        kept = torch.load(checkpoint, weights_only=True, map_location=device)
         net.load_state_dict(kept["net"])
         optimiser.load_state_dict(kept["optimiser"])
         done = int(kept["steps"])
-    total = 0.0
-    for step in range(done, steps):
-        # each step draws anew, so that those who stop and go on draw as those who do not
-        rng = np.random.default_rng([SEED, step])
-        drawn = rng.choice(len(kinds), size=BATCH, p=np.array(shares) / np.sum(shares))
-        batch = [sample(kinds[k][rng.integers(len(kinds[k]))], rng) for k in drawn]
-        seen, wanted = (torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True))
+    # processes that are forked share the examples, some 15 GB
+    batches = DataLoader(
+        Batches(kinds, shares, range(done, steps)),
+        batch_size=None,
+        num_workers=jobs,
+        multiprocessing_context="fork",
+        pin_memory=device.type == "cuda",
+    )
+    total = torch.zeros((), device=device)
+    for step, (seen, wanted) in enumerate(batches, done):
         size = min(1.0, step / WARM_UP) * (1.0 - step / steps) ** POWER + LEAST_RATE
         for group in optimiser.param_groups:
             group["lr"] = RATE * size
-        with torch.autocast("cpu", torch.bfloat16):  # a third less time where a processor has it
-            said = net(seen.contiguous(memory_format=torch.channels_last))
-        value = loss(said, wanted)
+        seen = seen.to(device, non_blocking=True).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16):  # a third less time where a processor has it
+            said = net(seen)
+        value = loss(said, wanted.to(device, non_blocking=True))
         optimiser.zero_grad()
         value.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 2.0)
         optimiser.step()
-        total += value.item()
+        total += value.detach()
         if (step + 1) % 100 == 0:
-            told(step + 1, total / 100)
-            total = 0.0
+            told(step + 1, total.item() / 100)
+            total.zero_()
         if (step + 1) % SAVED_EVERY == 0 or step + 1 == steps:
             _keep(checkpoint, net, optimiser, step + 1)
-    return net.eval()
+    return net.cpu().eval()
 
 
 def _keep(path: Path, net: Trained, optimiser: torch.optim.Optimizer, steps: int) -> None:
