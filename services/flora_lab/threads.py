@@ -22,3 +22,15 @@ def one_core() -> None:
     themselves."""
     cv2.setNumThreads(1)
     threadpool_limits(limits=1, user_api="blas")
+
+
+@contextlib.contextmanager
+def on_one_core() -> Iterator[None]:
+    """The same for a while."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with one_blas_thread():
+            yield
+    finally:
+        cv2.setNumThreads(before)

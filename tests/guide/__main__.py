@@ -70,12 +70,12 @@ def main() -> None:
         "--drawings", dest="drawing", type=int, default=400, help="drawn individuals, eight pictures each (400)"
     )
     parser.add_argument("--twins", dest="twin", type=int, default=60, help="individuals of the virtual box (60)")
-    parser.add_argument("--wild", type=int, default=360, help=f"times {WILD_PER_FILE} wild plants (360)")
+    parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
     parser.add_argument(
-        "--misleading", type=int, default=150, help=f"times {WILD_PER_FILE} that are easily mistaken (150)"
+        "--misleading", type=int, default=100, help=f"times {WILD_PER_FILE} that are easily mistaken (100)"
     )
-    parser.add_argument("--modelled", type=int, default=600, help=f"times {WILD_PER_FILE} in three dimensions (600)")
+    parser.add_argument("--modelled", type=int, default=300, help=f"times {WILD_PER_FILE} in three dimensions (300)")
     parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()

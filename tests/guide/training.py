@@ -20,7 +20,7 @@ from guide.samples import sample
 
 WIDTHS: Final = 16, 32, 64, 128
 """Channels of each level."""
-BATCH: Final = 32
+BATCH: Final = 16
 RATE, WARM_UP, POWER, DECAY, LEAST_RATE = 2e-3, 200, 0.9, 1e-4, 1e-3
 """Of the steps' size: greatest, steps until then, how it falls to the last one, of weights; least, as a share."""
 STEM_COUNTS: Final = 4.0
@@ -113,7 +113,7 @@ def train(
         kinds, shares: examples of each kind, and how many of a batch are of it.
         steps: in all.
         checkpoint: what is done is kept here every :data:`SAVED_EVERY` steps, and gone on with.
-        jobs: processes that draw.
+        jobs: processes that draw, where a graphics card learns.
         told: step and mean loss of the last hundred.
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -126,12 +126,13 @@ def train(
         net.load_state_dict(kept["net"])
         optimiser.load_state_dict(kept["optimiser"])
         done = int(kept["steps"])
-    # processes that are forked share the examples, some 15 GB
+    # beside a card the processors draw, forked to share the examples, some 13 GB; else they have enough to do
+    workers = jobs if device.type == "cuda" else 0
     batches = DataLoader(
         Batches(kinds, shares, range(done, steps)),
         batch_size=None,
-        num_workers=jobs,
-        multiprocessing_context="fork",
+        num_workers=workers,
+        multiprocessing_context="fork" if workers else None,
         pin_memory=device.type == "cuda",
     )
     total = torch.zeros((), device=device)
@@ -139,9 +140,9 @@ def train(
         size = min(1.0, step / WARM_UP) * (1.0 - step / steps) ** POWER + LEAST_RATE
         for group in optimiser.param_groups:
             group["lr"] = RATE * size
-        seen = seen.to(device, non_blocking=True).contiguous(memory_format=torch.channels_last)
+        inputs = seen.to(device, non_blocking=True).contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16):  # a third less time where a processor has it
-            said = net(seen)
+            said = net(inputs)
         value = loss(said, wanted.to(device, non_blocking=True))
         optimiser.zero_grad()
         value.backward()

@@ -143,23 +143,13 @@ def track(
         for reading in follow_frames(rest, how, pool, lights=lamps.lights, interval_s=between_s):
             part.add(reading, how.memory)
             found()
-        readings = part.readings
-        summary = Summary()
-        for reading in readings:
-            summary.add(reading)
-        if summary.readings == 0:
-            part.remove()  # the same work would come to the same end
-            first = f"; the first: {summary.bad[0]}" if summary.bad else ""
-            raise BadInput(
-                f"{source.name}: no stem in any of {summary.frames} frames ({summary.outcome_words()}){first}; "
-                "nothing was written; see --anchor, --window and --overlays"
-            )
+        summary = _summed(source, part)
         if wanted.any:
             sights = (source.obstacle, source.target) if isinstance(source, RunSource) else (None, None)
-            with Pictures(wanted, readings, DrawReadings(camera, *sights)) as pictures:
+            with Pictures(wanted, part.readings, DrawReadings(camera, *sights)) as pictures:
                 pictures.draw(source, pool, on_picture=stage("pictures", pictures.count))
                 pictures.finish()
-        files.write_text(output, track_text(readings, method_columns=path))
+        files.write_text(output, track_text(part.readings, method_columns=path))
         part.remove()
     told = screen.Outcome(source.name, method.value, output, wanted, summary, learnt, lamps, pool.jobs, resumed)
     screen.tell(told, quiet=quiet, as_json=as_json)
@@ -201,6 +191,21 @@ def _prepare(
         named = str(problem).startswith(source.name)
         raise problem if named else BadInput(f"{source.name}: {problem}") from problem
     return learnt, how
+
+
+def _summed(source: RunSource | FolderSource | FilmSource, part: PartFile) -> Summary:
+    """What was found in all frames; :class:`BadInput` where that is no stem."""
+    summary = Summary()
+    for reading in part.readings:
+        summary.add(reading)
+    if summary.readings == 0:
+        part.remove()  # the same work would come to the same end
+        first = f"; the first: {summary.bad[0]}" if summary.bad else ""
+        raise BadInput(
+            f"{source.name}: no stem in any of {summary.frames} frames ({summary.outcome_words()}){first}; "
+            "nothing was written; see --anchor, --window and --overlays"
+        )
+    return summary
 
 
 def _no_clash(source: RunSource | FolderSource | FilmSource, own: Sequence[str]) -> None:

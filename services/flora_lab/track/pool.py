@@ -5,15 +5,12 @@ Only a bounded number of results waits for its turn.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing import connection
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
-import cv2
-
-from flora_lab.threads import one_blas_thread, one_core
+from flora_lab.threads import on_one_core, one_core
 from flora_lab.worker_process import Worker, start_workers
 
 Task = TypeVar("Task")
@@ -55,7 +52,7 @@ class Pool:
             WorkerLost: a worker is gone. What ``work`` raises is raised here too.
         """
         if self.jobs == 1:
-            with _one_thread():
+            with on_one_core():
                 yield from map(work, tasks)
             return
         if not self._workers:
@@ -100,15 +97,3 @@ class Pool:
                     raise result
                 taken += 1
                 yield result
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """One core, as in a worker."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with one_blas_thread():
-            yield
-    finally:
-        cv2.setNumThreads(before)
