@@ -56,7 +56,7 @@ def test_training_that_was_stopped_goes_on_to_the_same_weights(
     def stop_in_the_third_step(*_: object) -> None:
         raise Stopped
 
-    straight = train([plants], [1.0], 4, tmp_path / "straight.pt", lambda *_: None)
+    straight = train([plants], [1.0], 4, tmp_path / "straight.pt", 1, lambda *_: None)
     original, calls = training.sample, 0
 
     def sampled(example: Example, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -69,8 +69,8 @@ def test_training_that_was_stopped_goes_on_to_the_same_weights(
     with monkeypatch.context() as patch:
         patch.setattr(training, "sample", sampled)
         with pytest.raises(Stopped):
-            train([plants], [1.0], 4, tmp_path / "stopped.pt", lambda *_: None)
-    again = train([plants], [1.0], 4, tmp_path / "stopped.pt", lambda *_: None)
+            train([plants], [1.0], 4, tmp_path / "stopped.pt", 1, lambda *_: None)
+    again = train([plants], [1.0], 4, tmp_path / "stopped.pt", 1, lambda *_: None)
     for name, value in straight.state_dict().items():
         assert torch.equal(value, again.state_dict()[name]), name
 

@@ -202,15 +202,18 @@ def test_a_sure_stem_ends_beyond_the_networks_apex_in_its_direction(sure: float,
 
 
 @pytest.mark.parametrize(
-    ("made", "off_by_cm", "share_of_trivial"), [(wild_example, 0.5, 0.1), (misleading_example, 0.6, 0.3)]
+    ("made", "off_by_cm", "share_of_trivial"),
+    [(wild_example, 0.45, 0.1), (misleading_example, 0.3, 0.1), (modelled_example, 0.45, 0.2)],
 )
 def test_plants_that_were_not_learnt_from_are_seen(
-    made: Callable[[int], Example], off_by_cm: float, share_of_trivial: float
+    made: Callable[[int], Example | None], off_by_cm: float, share_of_trivial: float
 ) -> None:
     """Beside a trivial answer, the plant's place that is farthest from the anchor."""
     off_cm, trivial_cm, line_cm = [], [], []
     for seed in HELD_OUT:
         example = made(seed)
+        if example is None:
+            continue
         evidence = seen(example)
         line = example.line + evidence.origin_px
         best = guide.everywhere(evidence, line[0].astype(np.float64), PX_PER_CM)[0]

@@ -10,7 +10,7 @@ import pytest
 from flora_common.arrays import FloatArray
 from flora_common.vision.path import rivals
 from flora_common.vision.path.guide import Way
-from flora_common.vision.path.rivals import Rivals
+from flora_common.vision.path.rivals import AT_FIRST, Rivals
 
 SCALE = 20.0
 TIP = np.array([100.0, 100.0])
@@ -25,7 +25,7 @@ def seen(before: Rivals | None, here: float, elsewhere: float, time_s: float) ->
     return rivals.after(before, [way(TIP, here), way(HOOK, elsewhere)], TIP, time_s, SCALE)
 
 
-@pytest.mark.parametrize(("elsewhere", "strong"), [(0.1, False), (0.17, False), (0.19, True), (0.4, True)])
+@pytest.mark.parametrize(("elsewhere", "strong"), [(0.05, False), (0.11, False), (0.13, True), (0.4, True)])
 def test_a_first_picture_is_judged_by_itself(elsewhere: float, strong: bool) -> None:
     assert seen(None, 0.3, elsewhere, 0.0).are_strong is strong
 
@@ -51,16 +51,16 @@ def test_what_is_known_after_four_hours_hangs_little_on_how_often_pictures_came(
 
 
 def test_an_apex_near_the_end_is_the_same_and_none_at_all_counts_as_none() -> None:
-    both = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.45 * SCALE, 0.3)], TIP, 0.0, SCALE)
-    # the second lies 0.64 cm away, along the diagonal
-    assert (both.here, both.elsewhere) == (0.2, 0.3)
+    both = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.55 * SCALE, 0.3)], TIP, 0.0, SCALE)
+    # the second lies 0.78 cm away, along the diagonal
+    assert (both.here, both.elsewhere) == (0.2, AT_FIRST * 0.3)
     near = rivals.after(None, [way(TIP, 0.2), way(TIP + 0.3 * SCALE, 0.3)], TIP, 0.0, SCALE)
     assert (near.here, near.elsewhere) == (0.3, 0.0)
     assert rivals.after(None, [], TIP, 0.0, SCALE) == Rivals(0.0, 0.0, 0.0, 0.0)
 
 
 def test_the_tip_is_as_uncertain_as_a_place_that_is_either() -> None:
-    state = seen(None, 0.3, 0.3, 0.0)
+    state = seen(None, 0.3, 0.3 / AT_FIRST, 0.0)
     assert state.away_cm == pytest.approx(math.hypot(0.8, 0.3))
     assert state.tip_error_cm == pytest.approx(0.5 * state.away_cm)
     assert seen(None, 0.3, 0.1, 0.0).tip_error_cm == 0.0
@@ -68,6 +68,12 @@ def test_the_tip_is_as_uncertain_as_a_place_that_is_either() -> None:
         state = rivals.after(state, [way(TIP, 0.3)], TIP, 300.0 * k, SCALE)
     assert state.tip_error_cm == 0.0
     assert state.away_cm == pytest.approx(math.hypot(0.8, 0.3))  # of what there was
+
+
+def test_a_way_that_leads_level_to_another_plant_is_no_rival() -> None:
+    level = np.array([[100.0, 300.0], [60.0, 298.0], [30.0, 295.0], [28.0, 200.0]])
+    beside = Way(level[-1], 0.4, level, np.full(4, 0.9))
+    assert rivals.after(None, [beside, way(TIP, 0.3)], TIP, 0.0, SCALE).elsewhere == 0.0
 
 
 def test_a_time_that_goes_back_changes_nothing() -> None:

@@ -19,7 +19,7 @@ from flora_common.vision.path.guide import Way
 from flora_common.vision.path.sampler import Sampler, places_along
 from flora_common.vision.path.tip import Tip, find_tip
 
-USABLE: Final = 0.08
+USABLE: Final = 0.13
 """How likely an apex is at least where its way is taken."""
 SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 """The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
@@ -66,18 +66,24 @@ def is_usable(way: Way) -> bool:
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
     """The likeliest way, where one that ends at the apex before is likelier by itself, and one that ends half-way along
-    another is none."""
-    passed = [is_passed(way.tip_px, ways, px_per_cm, least=GOES_ON_SHARE * way.sure) for way in ways]
-    ends = [way for way, is_none in zip(ways, passed, strict=True) if not is_none] or ways
+    another is none; nor is one that leads to another plant, where no stem is known that may have leant over."""
+    own = ways if before is not None else [way for way in ways if not goes_aside(way, px_per_cm)] or ways
+    ends = [way for way in own if not is_passed(way.tip_px, own, px_per_cm, least=GOES_ON_SHARE * way.sure)] or own
     if before is None:
         return ends[0]
-    tip = before.line_px[-1]
+    return max(ends, key=lambda way: worth(way, before, px_per_cm))
 
-    def worth(way: Way) -> float:
-        away = min(1.0, math.dist(way.tip_px, tip) / (KEEPS_CM * px_per_cm))
-        return way.sure * (1.0 + before.trust * (KEEPS - 1.0) * (1.0 - away))
 
-    return max(ends, key=worth)
+def worth(way: Way, before: Before, px_per_cm: float) -> float:
+    """How likely the end of a way is, where the stem before counts too."""
+    away = min(1.0, math.dist(way.tip_px, before.line_px[-1]) / (KEEPS_CM * px_per_cm))
+    return way.sure * (1.0 + before.trust * (KEEPS - 1.0) * (1.0 - away))
+
+
+def cuts_short(way: Way, before: Before, px_per_cm: float) -> bool:
+    """Whether a way ends on the stem before and plainly short of its end: at a leaf that hides a part of it, say."""
+    nearest = _nearest(way.tip_px, before.line_px, AGREES_CM * px_per_cm)
+    return nearest is not None and _is_far_on(before.line_px[nearest:], px_per_cm)
 
 
 def is_refuted(place_px: FloatArray, ways: Sequence[Way], px_per_cm: float, *, elsewhere: int) -> bool:
@@ -108,14 +114,23 @@ def is_passed(place_px: FloatArray, ways: Sequence[Way], px_per_cm: float, *, le
 
 
 def _leads_on(way: Way, place_px: FloatArray, px_per_cm: float) -> bool:
-    away = np.hypot(*(way.line_px - place_px).T)
-    nearest = int(np.argmin(away))
-    if away[nearest] > THROUGH_CM * px_per_cm:
-        return False
-    further = float(arc_length(way.line_px[nearest:])[-1])
-    return further >= GOES_ON_CM * px_per_cm and bool(
-        np.percentile(_along(way)[nearest:], WEAKEST_SHARE) >= GOES_ON_LIKELY
+    nearest = _nearest(place_px, way.line_px, THROUGH_CM * px_per_cm)
+    return (
+        nearest is not None
+        and _is_far_on(way.line_px[nearest:], px_per_cm)
+        and bool(np.percentile(_along(way)[nearest:], WEAKEST_SHARE) >= GOES_ON_LIKELY)
     )
+
+
+def _nearest(place_px: FloatArray, line_px: FloatArray, within_px: float) -> int | None:
+    """Which point of a line is nearest to a place; None where none is within that distance."""
+    away = np.hypot(*(line_px - place_px).T)
+    nearest = int(np.argmin(away))
+    return nearest if away[nearest] <= within_px else None
+
+
+def _is_far_on(rest_px: FloatArray, px_per_cm: float) -> bool:
+    return float(arc_length(rest_px)[-1]) >= GOES_ON_CM * px_per_cm
 
 
 def unsure(way: Way, stem: Stem, px_per_cm: float, *, is_first: bool) -> str:
@@ -132,11 +147,16 @@ def unsure(way: Way, stem: Stem, px_per_cm: float, *, is_first: bool) -> str:
         return doubts.BEGINS_ASIDE
     if not is_first:
         return ""
-    low = way.line_px[arc_length(way.line_px) < LEAVES_OVER_CM * px_per_cm] - way.line_px[0]
-    if any(doubts.is_aside(place, px_per_cm) for place in low):
+    if goes_aside(way, px_per_cm):
         return doubts.BEGINS_ASIDE
     unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
     return doubts.unseen(unseen_cm) if unseen_cm > doubts.LONGEST_UNSEEN_CM else ""
+
+
+def goes_aside(way: Way, px_per_cm: float) -> bool:
+    """Whether a way leads level over to what stands beside the anchor, which is another plant's."""
+    low = way.line_px[arc_length(way.line_px) < LEAVES_OVER_CM * px_per_cm] - way.line_px[0]
+    return any(doubts.is_aside(place, px_per_cm) for place in low)
 
 
 def agrees(way: Way, stem: Stem, px_per_cm: float) -> bool:

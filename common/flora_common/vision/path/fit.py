@@ -7,7 +7,6 @@ held against the picture before: a leaf that is taken for the tip in one picture
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from flora_common.geometry import arc_length
 from flora_common.runs import CameraSection
-from flora_common.vision.path import along_way, curve, doubts, forks, nearby, neighbours
+from flora_common.vision.path import along_way, curve, doubts, forks, guide, nearby, neighbours
 from flora_common.vision.path.apex import Followed
 from flora_common.vision.path.chain import Before, Chain, best_chain
 from flora_common.vision.path.curve import Stem
@@ -111,14 +110,19 @@ class Fitter:
 
     def found(self, sight: Sight, sampler: Sampler, past: Past) -> Fit | str:
         """What looks most like the stem, or why nothing does."""
-        return self._by_way(sight.ways, sampler, past) or self._by_chain(sight, sampler, past.before, past.memory)
+        return self._by_way(sight, sampler, past) or self._by_chain(sight, sampler, past.before, past.memory)
 
-    def _by_way(self, ways: Sequence[Way], sampler: Sampler, past: Past) -> Fit | None:
-        way = along_way.chosen(ways, past.before, self._scale)
+    def _by_way(self, sight: Sight, sampler: Sampler, past: Past) -> Fit | None:
+        before, scale = past.before, self._scale
+        way = along_way.chosen(sight.ways, before, scale)
+        if before is not None and along_way.cuts_short(way, before, scale):
+            # a known stem goes on behind what hides a part of it, where its apex is still to be seen
+            known = guide.near(sight.evidence, before.line_px, scale)
+            way = max(way, known, key=lambda one: along_way.worth(one, before, scale))
         if not along_way.is_usable(way):
             return None
-        stem, tip = along_way.stem_along(way, sampler, self._scale)
-        if stem.length < SHORTEST_STEM_CM * self._scale:
+        stem, tip = along_way.stem_along(way, sampler, scale)
+        if stem.length < SHORTEST_STEM_CM * scale:
             return None
         return Fit(tip, stem, float(arc_length(stem.line)[min(tip.safe, len(stem.line) - 1)]), way=way)
 
