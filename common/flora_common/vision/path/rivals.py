@@ -69,7 +69,8 @@ def after(before: Rivals | None, ways: Sequence[Way], tip_px: FloatArray, time_s
     """
     off_cm = [math.dist(way.tip_px, tip_px) / px_per_cm for way in ways]
     ends = [way for way, off in zip(ways, off_cm, strict=True) if off <= ELSEWHERE_CM]
-    # the top of a hook round which the stem plainly goes is no rival of its end; a first picture must be clearer
+    # neither another plant beside the anchor nor the top of a hook round which the stem plainly goes is a rival of its
+    # end, the latter where this picture is not all there is
     others = [
         (way.sure, off)
         for way, off in zip(ways, off_cm, strict=True)
