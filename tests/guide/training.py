@@ -90,9 +90,9 @@ class Batches(Dataset[tuple[Tensor, Tensor]]):
     def __len__(self) -> int:
         return len(self.steps)
 
-    def __getitem__(self, k: int) -> tuple[Tensor, Tensor]:
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
         """What is seen, shape (BATCH, 4, side, side), and wanted, shape (BATCH, 2, side / 2, side / 2)."""
-        rng = np.random.default_rng([SEED, self.steps[k]])
+        rng = np.random.default_rng([SEED, self.steps[index]])
         drawn = rng.choice(len(self.kinds), size=BATCH, p=self.shares)
         batch = [sample(self.kinds[k][rng.integers(len(self.kinds[k]))], rng) for k in drawn]
         seen, wanted = (torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True))
@@ -116,7 +116,8 @@ def train(
         jobs: processes that draw, where a graphics card learns.
         told: step and mean loss of the last hundred.
     """
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    has_card = torch.cuda.is_available()
+    device = torch.device("cuda" if has_card else "cpu")
     torch.manual_seed(SEED)
     net = Trained().to(device, memory_format=torch.channels_last)
     optimiser = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=DECAY, fused=True)
@@ -127,13 +128,12 @@ def train(
         optimiser.load_state_dict(kept["optimiser"])
         done = int(kept["steps"])
     # beside a card the processors draw, forked to share the examples, some 13 GB; else they have enough to do
-    workers = jobs if device.type == "cuda" else 0
     batches = DataLoader(
         Batches(kinds, shares, range(done, steps)),
         batch_size=None,
-        num_workers=workers,
-        multiprocessing_context="fork" if workers else None,
-        pin_memory=device.type == "cuda",
+        num_workers=jobs if has_card else 0,
+        multiprocessing_context="fork" if has_card else None,
+        pin_memory=has_card,
     )
     total = torch.zeros((), device=device)
     for step, (seen, wanted) in enumerate(batches, done):
