@@ -102,9 +102,14 @@ class Demands:
             )
         if changed > self.changed:
             return f"{changed:.1%} of the picture differ from the empty setup; light, exposure or camera changed"
-        if likeness.correlation < self.correlation or likeness.elsewhere > self.elsewhere:
+        if likeness.elsewhere > self.elsewhere:
             return (
                 f"{likeness.elsewhere:.0%} of the setup cannot be recognised; camera moved, or the picture is damaged"
+            )
+        if likeness.correlation < self.correlation:
+            return (
+                f"the setup looks by {1.0 - likeness.correlation:.0%} otherwise than in the background pictures; "
+                "camera or lamps moved, or the picture is damaged"
             )
         if likeness.worst_band < self.worst_band:
             return "part of the setup cannot be recognised; something stands before it, or the picture is torn"
@@ -158,10 +163,10 @@ class SetupLikeness:
         likely = self._one(survey.number, squares, noise, hidden)
         if likely is None or OF_THE_FIRST.unmet(0.0, likely):
             all_states = (self._one(number, squares, noise, hidden) for number in range(len(self._states)))
-            # most squares look alike under either lamp: those that differ tell the state
+            # most squares look alike under either lamp: those that differ tell the state, but a plant hides some of them
             likely = max(
                 (one for one in all_states if one is not None),
-                key=lambda one: one.correlation + one.worst_band - one.elsewhere,
+                key=lambda one: (not USUAL.unmet(0.0, one), one.correlation + one.worst_band - one.elsewhere),
                 default=Likeness(),
             )
         telling = self._states[survey.number]
