@@ -27,6 +27,7 @@ from guide.examples import Example, drawing_examples, read_examples, twin_exampl
 from guide.misleading import misleading_example
 from guide.modelled import modelled_example
 from guide.samples import sample
+from guide.scapes import Scape
 from guide.training import train
 from guide.whole import arrays_of, in_whole_numbers
 from guide.wild import wild_example
@@ -47,8 +48,9 @@ KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] 
     "twin": (twin_examples, 500_000, 1, 0.09),
     "wild": (partial(several, wild_example), 1_000_000, WILD_PER_FILE, 0.29),
     "bare": (partial(several, partial(wild_example, is_bare=True)), 1_500_000, WILD_PER_FILE, 0.03),
-    "misleading": (partial(several, misleading_example), 2_500_000, WILD_PER_FILE, 0.08),
-    "modelled": (partial(several, modelled_example), 3_000_000, WILD_PER_FILE, 0.29),
+    "misleading": (partial(several, misleading_example), 2_500_000, WILD_PER_FILE, 0.12),
+    "modelled": (partial(several, modelled_example), 3_000_000, WILD_PER_FILE, 0.32),
+    "scape": (partial(several, partial(modelled_example, habit=Scape)), 4_000_000, WILD_PER_FILE, 0.08),
 }
 """How each is made, its first seed, how far seeds are apart, and its share of all samples."""
 
@@ -76,6 +78,9 @@ def main() -> None:
         "--misleading", type=int, default=100, help=f"times {WILD_PER_FILE} that are easily mistaken (100)"
     )
     parser.add_argument("--modelled", type=int, default=300, help=f"times {WILD_PER_FILE} in three dimensions (300)")
+    parser.add_argument(
+        "--scapes", dest="scape", type=int, default=100, help=f"times {WILD_PER_FILE} flowering stalks (100)"
+    )
     parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()

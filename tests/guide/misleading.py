@@ -1,12 +1,13 @@
 """Plants made to be mistaken: what a stem is told from looks like one, and what it ends in does not.
 
-Four kinds, each seen to mislead on plants that were not drawn for learning, and mixed here with whatever else a wild
+Five kinds, each seen to mislead on plants that were not drawn for learning, and mixed here with whatever else a wild
 plant has:
 
 - a hook from whose beginning a leaf goes on where the stem went;
 - blades of two tones, or with a broad midrib, that hang along the stem, behind it;
 - a stalk from the side of a pot, which bends up or back, with nothing at its end or with buds;
-- a seedling, whose hook bears cotyledons that are still closed.
+- a seedling, whose hook bears cotyledons that are still closed;
+- a thin end, straight or hooked and hardly told from the board, that reaches past the youngest leaves.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from guide.canvas import SHAPES, Floats, Look
 from guide.examples import Example
 from guide.wild import FORMS, SHARES_OF_FORMS, UP, Plant, curve, draw_colours, draw_stem, photographed
 
-KINDS: Final = ("heir", "two_toned", "stalk", "seedling")
-SHARES: Final = (0.34, 0.26, 0.2, 0.2)
+KINDS: Final = ("heir", "two_toned", "stalk", "seedling", "end")
+SHARES: Final = (0.26, 0.2, 0.14, 0.16, 0.24)
 """How many are of each."""
 
 
@@ -29,7 +30,7 @@ def misleading_example(seed: int) -> Example:
     """The plant of a seed, as the finder sees it."""
     rng = np.random.default_rng([seed, 11])
     kind = str(rng.choice(KINDS, p=SHARES))
-    return {"heir": _heir, "two_toned": _two_toned, "stalk": _stalk, "seedling": _seedling}[kind](rng)
+    return {"heir": _heir, "two_toned": _two_toned, "stalk": _stalk, "seedling": _seedling, "end": _end}[kind](rng)
 
 
 def _heir(rng: np.random.Generator) -> Example:
@@ -107,7 +108,7 @@ def _stalk(rng: np.random.Generator) -> Example:
                 int(rng.choice([-1, 1])),
                 float(rng.uniform(0.12, 0.5)),
                 bud,
-                float(rng.uniform(0.0, 0.9)),
+                float(rng.uniform(0.0, 0.35)),
                 str(rng.choice(["elliptic", "ovate", "obovate", "heart"])),
                 leaves_at=float(rng.uniform(0, 1.4)),
                 is_stiff=True,
@@ -141,6 +142,39 @@ def _seedling(rng: np.random.Generator) -> Example:
 
     plant = _plant(rng, line, angle, length)
     plant.width_cm = float(rng.uniform(0.12, 0.4))
+    return photographed(plant, bears)
+
+
+def _end(rng: np.random.Generator) -> Example:
+    """A stem whose end goes on past its youngest leaves, thin and as pale as the board."""
+    length, over = float(np.exp(rng.uniform(np.log(1.5), np.log(22.0)))), float(rng.uniform(0.4, 2.0))
+    turn = rng.choice([-1, 1]) * rng.uniform(0.3, 2.8) * (rng.random() < 0.7)
+    wander, upwards = abs(rng.normal()) * 0.07 + 0.01, float(rng.uniform(0, 0.25))
+    line, angle = curve(rng, UP + rng.normal() * 0.3, length, wander, (turn, min(over, 0.7 * length)), upwards)
+
+    def bears(plant: Plant) -> None:
+        _any_look(plant, 0.15)
+        if rng.random() < 0.7:
+            plant.leaves()
+        if rng.random() < 0.5:
+            plant.cotyledons()
+        for _ in range(rng.integers(1, 4)):
+            plant.leaf(
+                float(rng.uniform(0.25, 1.0)) * min(over, 0.5 * length),
+                int(rng.choice([-1, 1])),
+                float(rng.uniform(0.4, 1.8)),
+                plant.colours.leaf if rng.random() < 0.5 else plant.colours.young,
+                float(rng.uniform(0.0, 0.5)),
+                str(rng.choice(SHAPES)),
+                leaves_at=float(rng.uniform(0.0, 1.9)),
+                is_behind=bool(rng.random() < 0.35),
+            )
+
+    plant = _plant(rng, line, angle, length)
+    if rng.random() < 0.6:
+        paler = (plant.colours.board - plant.colours.stem) * rng.uniform(0.0, 0.6)
+        plant.colours = replace(plant.colours, upwards=paler + rng.normal() * 3.0)
+    plant.width_cm *= float(rng.uniform(0.6, 1.0))
     return photographed(plant, bears)
 
 

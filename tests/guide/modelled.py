@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 
@@ -15,11 +17,14 @@ from guide.examples import Example, as_seen
 from guide.shoots import Shoot
 from guide.surfaces import Light, Surfaces, View, texture
 
+LEAST_HANGS_CM: Final = 0.1
+"""A stem that hangs lower is looked for below its anchor, as a rig's owner would ask for."""
 
-def modelled_example(seed: int) -> Example | None:
-    """The plant of a seed, as the finder sees it; None where it does not."""
+
+def modelled_example(seed: int, habit: type[Shoot] = Shoot) -> Example | None:
+    """The plant of a seed and of a habit, as the finder sees it; None where it does not."""
     rng = np.random.default_rng([seed, 13])
-    plant = Shoot(rng)
+    plant = habit(rng)
     axis = plant.grow()
     scale = float(np.exp(rng.uniform(np.log(9.0), np.log(30.0))))
     view = _view(rng, plant.surfaces, axis, scale)
@@ -29,7 +34,9 @@ def modelled_example(seed: int) -> Example | None:
     noise, blur = float(rng.uniform(0.002, 0.02)), float(rng.uniform(0.4, 1.1))
     camera = CameraSection(view.anchor_px, scale, *view.size_px)
     taken = [_taken(rng, one, gain, noise, blur) for one in (empty, empty, full)]
-    finder = PlantFinder(from_background(taken[:2]), camera, PathSettings())
+    hangs_cm = -float(axis[:, 1].min())
+    settings = PathSettings(below_anchor_cm=hangs_cm + 0.5 if hangs_cm > LEAST_HANGS_CM else 0.0)
+    finder = PlantFinder(from_background(taken[:2]), camera, settings)
     return as_seen(finder.find(taken[2]), view.to_px(axis), scale)
 
 

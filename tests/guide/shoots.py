@@ -14,9 +14,9 @@ import numpy as np
 
 from guide.canvas import Floats
 from guide.surfaces import Surfaces
+from guide.vectors import UP, Stem, across, bent, perpendicular, unit
 
 STEP_CM: Final = 0.12
-UP: Final = np.array([0.0, 1.0, 0.0])
 ALONG, ACROSS = 11, 9
 """Points of a blade."""
 MOST_NODES: Final = 18
@@ -36,6 +36,7 @@ class Leafage:
     aspect: float
     widest: float
     stalk: float
+    stalk_width: float
     young_at: float
     old_at: float
     droop: float
@@ -52,25 +53,6 @@ class Leafage:
     margin_width: float
     mottled: float
     stalk_colour: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Stem:
-    """What leaves stand on.
-
-    Attributes:
-        axis, tangent: shape (n, 3), anchor first, and its direction.
-        to_end_cm, radius_cm: shape (n,), along the axis.
-    """
-
-    axis: Floats
-    tangent: Floats
-    to_end_cm: Floats
-    radius_cm: Floats
-
-    def at(self, below_cm: float) -> int:
-        """The point that is so far below its end."""
-        return int(np.searchsorted(-self.to_end_cm, -below_cm).clip(1, len(self.axis) - 1))
 
 
 class Shoot:
@@ -94,10 +76,25 @@ class Shoot:
                 p=[0.7, 0.1, 0.07, 0.13] if length < 9 else [0.8, 0.12, 0.08, 0.0],
             )
         )
-        axis, tangent = self._axis(length, is_hooked=rng.random() < (0.8 if habit == "seedling" else 0.35))
+        lean = rng.normal(size=2) * (0.25 if rng.random() < 0.85 else 0.9)
+        hook = 0.0, 1.0
+        if rng.random() < (0.8 if habit == "seedling" else 0.35):
+            hook = float(rng.uniform(0.6, 3.3)), float(rng.uniform(0.5, min(4.0, 0.7 * length)))
+        azimuth = rng.normal() * 0.6 + np.pi * (rng.random() < 0.5) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
+        towards = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])
+        axis, tangent = self._axis(length, np.array([lean[0], 1.0, lean[1]]), hook, towards)
         width = min(float(rng.uniform(0.12, 0.65)), 0.15 + 0.12 * length)
         leaf = self._leafage(habit, length)
-        colour = self._stem_colour(leaf)
+        stem, to_apex = self._stem(axis, tangent, width, leaf)
+        if habit != "bare":
+            self._leaves(stem, leaf, habit)
+        if rng.random() < (0.85 if habit == "seedling" else 0.35):
+            self._cotyledons(stem, leaf, habit)
+        return to_apex
+
+    def _stem(self, axis: Floats, tangent: Floats, width: float, leaf: Leafage) -> tuple[Stem, Floats]:
+        """What leaves stand on, with its surface, and its axis as far as the apex."""
+        rng, colour = self._rng, self._stem_colour(leaf)
         radius = 0.5 * width * np.linspace(1.0, rng.uniform(0.35, 0.95), len(axis))
         end = radius[-1]
         to_end = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0, prepend=axis[-1:]), axis=1))[::-1]
@@ -105,29 +102,25 @@ class Shoot:
         self.surfaces.tube(
             axis, np.maximum(0.02, radius * np.sqrt(1.0 - 0.95 * inside**2)), colour(np.linspace(0, 1, len(axis)))
         )
-        stem = Stem(axis, tangent, to_end, radius)
-        if habit != "bare":
-            self._leaves(stem, leaf, habit)
-        if rng.random() < (0.85 if habit == "seedling" else 0.35):
-            self._cotyledons(stem, leaf, habit)
-        if rng.random() < (0.4 if habit == "bare" else 0.06):
-            self._flowers(stem, leaf)
-        return axis[to_end >= (1.0 - ROUND_END) * end]
+        return Stem(axis, tangent, to_end, radius), axis[to_end >= (1.0 - ROUND_END) * end]
 
-    def _axis(self, length: float, *, is_hooked: bool) -> tuple[Floats, Floats]:
-        """A stem's axis, and its direction at each point."""
+    def _axis(
+        self, length: float, tangent: Floats, hook: tuple[float, float], towards: Floats
+    ) -> tuple[Floats, Floats]:
+        """A stem's axis, and its direction at each point, both shape (n, 3).
+
+        Args:
+            length: of it, cm.
+            tangent: its direction at the anchor.
+            hook: rad by which it turns, cm from its end over which it does.
+            towards: where its hook turns to.
+        """
         rng = self._rng
         count = max(12, int(length / STEP_CM))
         step = length / (count - 1)
         wander = np.cumsum(rng.normal(size=(count, 3)), axis=0) * np.sqrt(step) * (abs(rng.normal()) * 0.06 + 0.01)
         wander -= wander.mean(axis=0) * rng.random()
-        turn, over = 0.0, 1.0
-        if is_hooked:
-            turn, over = float(rng.uniform(0.6, 3.3)), float(rng.uniform(0.5, min(4.0, 0.7 * length)))
-        lean = rng.normal(size=2) * (0.25 if rng.random() < 0.85 else 0.9)
-        tangent = np.array([lean[0], 1.0, lean[1]])
-        azimuth = rng.normal() * 0.6 + np.pi * (rng.random() < 0.5) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
-        towards = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)])
+        turn, over = hook
         upwards, lit = float(rng.uniform(0, 0.25)), float(rng.normal() * 0.08)
         zigzag = float(rng.uniform(0.1, 0.5)) * (rng.random() < 0.15)
         node = float(rng.uniform(1.0, 3.0))
@@ -137,10 +130,10 @@ class Shoot:
             directions[k] = tangent
             change = wander[k] + upwards * UP + lit * towards
             if (count - 1 - k) * step < over and turn:
-                ahead = _across(towards, tangent)
+                ahead = across(towards, tangent)
                 if np.linalg.norm(ahead) <= LEAST_AHEAD:
-                    ahead = _across(towards + OFF_LINE, tangent)
-                change = change + turn / over * _unit(ahead)
+                    ahead = across(towards + OFF_LINE, tangent)
+                change = change + turn / over * unit(ahead)
                 towards = towards - 0.9 * step * turn / over * tangent
             if zigzag and int(k * step / node) != int((k - 1) * step / node):
                 change = change + (1 if int(k * step / node) % 2 else -1) * zigzag / step * np.array([1.0, 0.0, 0.2])
@@ -173,6 +166,7 @@ class Shoot:
             aspect=float(rng.uniform(0.03, 0.12)) if is_grass else aspect,
             widest=float(rng.uniform(0.2, 0.7)),
             stalk=0.0 if is_grass or rng.random() < 0.15 else float(rng.uniform(0.1, 1.6) * size),
+            stalk_width=float(rng.uniform(0.25, 0.6) if rng.random() < 0.75 else rng.uniform(0.6, 1.0)),
             young_at=float(rng.uniform(0.05, 0.5)),
             old_at=float(rng.uniform(0.25, 1.0) if is_grass else rng.uniform(0.35, 1.8)),
             droop=float(rng.uniform(0, 0.35)),
@@ -232,35 +226,39 @@ class Shoot:
             azimuth += onwards + rng.normal() * 0.15
             below += float(0.06 + full_cm * (1.0 - np.exp(-(below + 0.05) / zone)) * rng.uniform(0.7, 1.3))
             number += 1
-        for _ in range(rng.integers(2, 8) if rng.random() < 0.1 else 0):  # a rosette
-            self._leaf(stem, 1, float(rng.uniform(0, 2 * np.pi)), leaf, float(rng.uniform(0.5, 1.0)), 1.0)
+        if rng.random() < 0.1:
+            self._rosette(stem, leaf, int(rng.integers(2, 8)))
+
+    def _rosette(self, stem: Stem, leaf: Leafage, count: int) -> None:
+        for _ in range(count):
+            self._leaf(stem, 1, float(self._rng.uniform(0, 2 * np.pi)), leaf, float(self._rng.uniform(0.5, 1.0)), 1.0)
 
     def _leaf(self, stem: Stem, at: int, azimuth: float, leaf: Leafage, size: float, age: float) -> None:
         """A leaf on its stalk: of some share of its full size, and of an age from 0, folded and steep, to 1."""
         rng = self._rng
         size *= float(rng.uniform(0.8, 1.2))
         tangent, radius = stem.tangent[at], stem.radius_cm[at]
-        aside = _perpendicular(tangent, azimuth)
+        aside = perpendicular(tangent, azimuth)
         angle = leaf.young_at + (leaf.old_at - leaf.young_at) * age + rng.normal() * 0.12
         heading = np.cos(angle) * tangent + np.sin(angle) * aside
         base = stem.axis[at] + aside * radius * 0.6
         stalk = leaf.stalk * size * (0.2 + 0.8 * age)
         if stalk > 0.15:
-            path = _bent(base, heading, stalk, leaf.droop * age * 0.5 - 0.12 * (1 - age), rng.normal(size=3) * 0.05)
+            path = bent(base, heading, stalk, leaf.droop * age * 0.5 - 0.12 * (1 - age), rng.normal(size=3) * 0.05)
             thick = np.linspace(1.0, 0.75, len(path)) * max(
-                0.03, radius * rng.uniform(0.25, 0.6) * min(1.0, 0.4 + size)
+                0.03, radius * leaf.stalk_width * rng.uniform(0.8, 1.1) * min(1.0, 0.4 + size)
             )
             self.surfaces.tube(path, thick, leaf.stalk_colour, sides=6)
-            base, heading = path[-1], _unit(path[-1] - path[-2])
+            base, heading = path[-1], unit(path[-1] - path[-2])
         length = leaf.size_cm * size
-        level = _unit(
+        level = unit(
             np.cross(heading, np.cross(UP, heading))
             + 0.25 * rng.normal(size=3)
             + 0.3 * np.cross(heading, np.cross(tangent, heading))
         )
         if leaf.form in ("simple", "peltate"):
             if leaf.form == "peltate":  # its stalk stands under its middle
-                heading = _unit(np.cross(np.cross(heading, aside + 0.2 * UP), heading) + (1.0 - age) * heading)
+                heading = unit(np.cross(np.cross(heading, aside + 0.2 * UP), heading) + (1.0 - age) * heading)
                 base = base - 0.45 * length * heading
             self._blade(base, heading, level, length, leaf, age)
             return
@@ -277,20 +275,20 @@ class Shoot:
                     age,
                 )
             return
-        path = _bent(base, heading, max(0.3, length), leaf.droop * age, rng.normal(size=3) * 0.03)
+        path = bent(base, heading, max(0.3, length), leaf.droop * age, rng.normal(size=3) * 0.03)
         self.surfaces.tube(path, np.full(len(path), max(0.025, 0.25 * radius)), leaf.stalk_colour, sides=5)
         pairs = int(rng.integers(2, 5))
         for share in np.linspace(0.25, 0.9, pairs):
             at = int(share * (len(path) - 1))
             for sign in (-1, 1):
                 turn = sign * (0.3 + 0.8 * age)
-                way = _unit(path[at] - path[at - 1]) if at else heading
+                way = unit(path[at] - path[at - 1]) if at else heading
                 self._blade(path[at], np.cos(turn) * way + np.sin(turn) * side, level, length * 0.42, leaf, age)
         if rng.random() < 0.75:
-            self._blade(path[-1], _unit(path[-1] - path[-2]), level, length * 0.45, leaf, age)
+            self._blade(path[-1], unit(path[-1] - path[-2]), level, length * 0.45, leaf, age)
         else:
-            tendril = _bent(
-                path[-1], _unit(path[-1] - path[-2]), float(rng.uniform(0.5, 3.0)), 0.0, rng.normal(size=3) * 1.5
+            tendril = bent(
+                path[-1], unit(path[-1] - path[-2]), float(rng.uniform(0.5, 3.0)), 0.0, rng.normal(size=3) * 1.5
             )
             self.surfaces.tube(tendril, np.full(len(tendril), 0.025), leaf.stalk_colour, sides=4)
 
@@ -301,7 +299,7 @@ class Shoot:
         half = (outline / outline.max()) ** 0.75 * 0.5 * leaf.aspect * length
         if leaf.teeth:
             half = half * (1.0 - leaf.teeth * (0.5 + 0.5 * np.sin(u * leaf.teeth_count)))
-        side = _unit(np.cross(heading, level))
+        side = unit(np.cross(heading, level))
         level = np.cross(side, heading)
         curl = (leaf.curl + rng.normal() * 0.25) * (0.3 + age) * u
         ahead = np.cos(curl)[:, None] * heading - np.sin(curl)[:, None] * level
@@ -334,51 +332,10 @@ class Shoot:
         pale = np.array([rng.uniform(0.1, 0.5), rng.uniform(0.6, 0.95), 1.0]) * rng.uniform(0.15, 0.6)
         colour = pale + (leaf.front - pale) * rng.random()
         for turn in (azimuth, azimuth + np.pi)[: 1 if rng.random() < 0.15 else 2]:
-            aside = _perpendicular(stem.tangent[at], turn)
+            aside = perpendicular(stem.tangent[at], turn)
             heading = np.cos(opened) * stem.tangent[at] + np.sin(opened) * aside
             base = stem.axis[at] + aside * (stem.radius_cm[at] + 0.2 * thick * size * is_young)
-            path = _bent(base, heading, size, rng.normal() * 0.2, np.zeros(3))
+            path = bent(base, heading, size, rng.normal() * 0.2, np.zeros(3))
             share = np.linspace(0.0, 1.0, len(path))
             swell = np.sqrt(np.maximum(0.0, 1.0 - (2.0 * share - 1.0) ** 2)) * 0.5 * size * thick
             self.surfaces.tube(path, np.maximum(swell, 0.02), np.clip(colour, 0.01, 0.9), sides=10)
-
-    def _flowers(self, stem: Stem, leaf: Leafage) -> None:
-        rng, top = self._rng, stem.tangent[-1]
-        colour = np.exp(rng.normal(size=3) * 0.5) * rng.uniform(0.1, 0.8)
-        for _ in range(rng.integers(1, 12)):
-            aside = _perpendicular(top, float(rng.uniform(0, 2 * np.pi)))
-            angle = float(rng.uniform(0, 1.5))
-            heading = np.cos(angle) * top + np.sin(angle) * aside
-            path = _bent(stem.axis[-1], heading, float(rng.uniform(0.15, 1.0)), 0.1, np.zeros(3))
-            thick = np.full(len(path), max(0.02, 0.3 * stem.radius_cm[-1]))
-            self.surfaces.tube(path, thick, leaf.stalk_colour, sides=4)
-            size, heading = float(rng.uniform(0.08, 0.3)), _unit(path[-1] - path[-2])
-            bud = _bent(path[-1], heading, 2 * size, 0.0, np.zeros(3))
-            share = np.linspace(0, 1, len(bud))
-            lit = np.clip(leaf.stalk_colour + (colour - leaf.stalk_colour) * rng.random(), 0.01, 0.9)
-            self.surfaces.tube(bud, size * np.sqrt(np.maximum(0.02, 1 - (2 * share - 1) ** 2)), lit, sides=7)
-
-
-def _unit(vector: Floats) -> Floats:
-    return vector / (np.linalg.norm(vector) + 1e-9)
-
-
-def _across(vector: Floats, direction: Floats) -> Floats:
-    """The part of a vector that is across a unit vector."""
-    return vector - (vector @ direction) * direction
-
-
-def _perpendicular(direction: Floats, azimuth: float) -> Floats:
-    """The unit vector across a direction at an angle about it."""
-    across = _unit(np.cross(direction, [0.05, 0.1, 1.0]))
-    return np.cos(azimuth) * across + np.sin(azimuth) * np.cross(direction, across)
-
-
-def _bent(base: Floats, heading: Floats, length: float, droop: float, wander: Floats) -> Floats:
-    """A line from a place in a direction, that hangs by some rad per cm, shape (n, 3)."""
-    count = max(7, int(length / 0.25))
-    step, places = length / (count - 1), [base]
-    for _ in range(count - 1):
-        heading = _unit(heading + step * (wander - droop * UP))
-        places.append(places[-1] + step * heading)
-    return np.array(places)

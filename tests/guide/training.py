@@ -20,7 +20,7 @@ from guide.samples import sample
 
 WIDTHS: Final = 16, 32, 64, 128
 """Channels of each level."""
-BATCH: Final = 16
+BATCH, BATCH_ON_CARD = 16, 32
 RATE, WARM_UP, POWER, DECAY, LEAST_RATE = 2e-3, 200, 0.9, 1e-4, 1e-3
 """Of the steps' size: greatest, steps until then, how it falls to the last one, of weights; least, as a share."""
 STEM_COUNTS: Final = 4.0
@@ -84,16 +84,16 @@ def loss(said: Tensor, wanted: Tensor) -> Tensor:
 class Batches(Dataset[tuple[Tensor, Tensor]]):
     """What each step learns from, drawn anew of a seed of its own: who stops and goes on draws as who does not."""
 
-    def __init__(self, kinds: Sequence[Sequence[Example]], shares: Sequence[float], steps: range) -> None:
-        self.kinds, self.shares, self.steps = kinds, np.array(shares) / np.sum(shares), steps
+    def __init__(self, kinds: Sequence[Sequence[Example]], shares: Sequence[float], steps: range, size: int) -> None:
+        self.kinds, self.shares, self.steps, self.size = kinds, np.array(shares) / np.sum(shares), steps, size
 
     def __len__(self) -> int:
         return len(self.steps)
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
-        """What is seen, shape (BATCH, 4, side, side), and wanted, shape (BATCH, 2, side / 2, side / 2)."""
+        """What is seen, shape (size, 4, side, side), and wanted, shape (size, 2, side / 2, side / 2)."""
         rng = np.random.default_rng([SEED, self.steps[index]])
-        drawn = rng.choice(len(self.kinds), size=BATCH, p=self.shares)
+        drawn = rng.choice(len(self.kinds), size=self.size, p=self.shares)
         batch = [sample(self.kinds[k][rng.integers(len(self.kinds[k]))], rng) for k in drawn]
         seen, wanted = (torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True))
         return seen, wanted
@@ -129,7 +129,7 @@ def train(
         done = int(kept["steps"])
     # beside a card the processors draw, forked to share the examples, some 13 GB; else they have enough to do
     batches = DataLoader(
-        Batches(kinds, shares, range(done, steps)),
+        Batches(kinds, shares, range(done, steps), BATCH_ON_CARD if has_card else BATCH),
         batch_size=None,
         num_workers=jobs if has_card else 0,
         multiprocessing_context="fork" if has_card else None,

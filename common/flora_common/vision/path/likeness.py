@@ -163,7 +163,7 @@ class SetupLikeness:
         likely = self._one(survey.number, squares, noise, hidden)
         if likely is None or OF_THE_FIRST.unmet(0.0, likely):
             all_states = (self._one(number, squares, noise, hidden) for number in range(len(self._states)))
-            # most squares look alike under either lamp: those that differ tell the state, but a plant hides some of them
+            # most squares look alike under either lamp: those that differ tell the state, but a plant hides some
             likely = max(
                 (one for one in all_states if one is not None),
                 key=lambda one: (not USUAL.unmet(0.0, one), one.correlation + one.worst_band - one.elsewhere),
