@@ -28,12 +28,14 @@ from guide.misleading import misleading_example
 from guide.modelled import modelled_example
 from guide.samples import sample
 from guide.scapes import Scape
-from guide.training import train
+from guide.training import BATCH_ON_CARD, Batches, averaged, train
 from guide.whole import arrays_of, in_whole_numbers
 from guide.wild import wild_example
 
 TO_SCALE: Final = 128
 """Samples that tell how large activations become."""
+TO_NORMALISE: Final = 30
+"""Batches that tell the normalisation of a mean of two networks."""
 WILD_PER_FILE: Final = 50
 
 
@@ -82,6 +84,8 @@ def main() -> None:
         "--scapes", dest="scape", type=int, default=100, help=f"times {WILD_PER_FILE} flowering stalks (100)"
     )
     parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
+    parser.add_argument("--mean-with", type=Path, help="a checkpoint from before the last steps, to take the mean with")
+    parser.add_argument("--mean-share", type=float, default=0.85, help="of the last steps' network in the mean (0.85)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     folder = options.out / "examples"
@@ -105,6 +109,9 @@ def main() -> None:
         print(f"\rstep {step} of {options.steps}, loss {value:.4f}", end="", flush=True)
 
     net = train(examples, shares, options.steps, options.out / "checkpoint.pt", options.jobs, told)
+    if options.mean_with is not None:
+        some = Batches(examples, shares, range(options.steps, options.steps + TO_NORMALISE), BATCH_ON_CARD)
+        net = averaged(net, options.mean_with, options.mean_share, (some[k] for k in range(TO_NORMALISE)))
     rng = np.random.default_rng(5)
     kinds = rng.choice(len(examples), TO_SCALE)
     seen = [sample(examples[k][rng.integers(len(examples[k]))], rng)[0] for k in kinds]

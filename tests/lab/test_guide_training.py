@@ -13,7 +13,7 @@ from guide import training
 from guide.canvas import PX_PER_CM
 from guide.examples import Example, read_examples, write_examples
 from guide.samples import SIDE, sample, wanted
-from guide.training import Trained, train
+from guide.training import BATCH, Batches, Trained, averaged, train
 from guide.whole import arrays_of, in_whole_numbers
 from guide.wild import wild_example
 
@@ -73,6 +73,25 @@ def test_training_that_was_stopped_goes_on_to_the_same_weights(
     again = train([plants], [1.0], 4, tmp_path / "stopped.pt", 1, lambda *_: None)
     for name, value in straight.state_dict().items():
         assert torch.equal(value, again.state_dict()[name]), name
+
+
+def test_the_mean_of_two_networks_has_their_mean_weights_and_a_normalisation_of_its_own(
+    plants: list[Example], tmp_path: Path
+) -> None:
+    torch.manual_seed(3)
+    early, late = Trained().state_dict(), Trained()
+    now = {k: v.clone() for k, v in late.state_dict().items()}
+    torch.save({"net": early}, tmp_path / "early.pt")
+    some = Batches([plants], [1.0], range(3), BATCH)
+    net = averaged(late, tmp_path / "early.pt", 0.75, (some[k] for k in range(3)))
+    name = next(k for k in now if k.endswith("0.weight"))
+    assert torch.allclose(net.state_dict()[name], 0.75 * now[name] + 0.25 * early[name])
+    first = net.layers["e0"]
+    with torch.no_grad():
+        before = torch.cat([first[0](some[k][0]) for k in range(3)])
+        after = first[1](before)
+    assert float(after.mean(dim=(0, 2, 3)).abs().max()) < 0.05
+    assert not net.training
 
 
 def test_examples_are_kept_as_they_are(plants: list[Example], tmp_path: Path) -> None:

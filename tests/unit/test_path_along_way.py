@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,23 @@ def way(sure: float, *, top_cm: float = TOP_CM, aside_cm: float = 0.0, beyond: f
     side = aside_cm * np.clip(height / TOP_CM, 0.0, 1.0)
     line = np.column_stack([100.0 + SCALE * side, 300.0 - SCALE * height])
     return Way(line[-1], sure, line, np.where(height > TOP_CM, beyond, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("sure", "elsewhere", "believed"),
+    [
+        (0.31, 0.5, True),
+        (0.29, 0.12, False),
+        (0.2, 0.06, True),
+        (0.2, 0.08, False),
+        (0.16, 0.0, True),
+        (0.14, 0.0, False),
+    ],
+)
+def test_an_apex_needs_to_be_less_likely_where_there_is_hardly_another(
+    sure: float, elsewhere: float, believed: bool
+) -> None:
+    assert along_way.is_believed(replace(way(sure), elsewhere=elsewhere)) == believed
 
 
 def before(top_cm: float) -> Before:

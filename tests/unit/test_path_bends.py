@@ -144,7 +144,7 @@ def behind_leaf(line: np.ndarray, hidden_cm: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("hidden_cm", "outcome", "reason"),
-    [(1.6, OK, ""), (2.6, OCCLUDED, "something stands before"), (3.2, OCCLUDED, "something stands before")],
+    [(1.6, OK, ""), (2.6, OCCLUDED, "nothing is seen of it"), (3.2, OCCLUDED, "nothing is seen of it")],
 )
 def test_what_goes_on_behind_a_large_leaf_may_be_another_plant(hidden_cm: float, outcome: str, reason: str) -> None:
     reading = tracker().read(behind_leaf(upright(11.0), hidden_cm), 0.0)

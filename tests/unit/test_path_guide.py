@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -19,10 +20,13 @@ from guide.canvas import PX_PER_CM
 from guide.examples import Example
 from guide.misleading import misleading_example
 from guide.modelled import modelled_example
+from guide.scapes import Scape
 from guide.wild import wild_example
 
 HELD_OUT: Final = range(2_000_000, 2_000_060)
 """Plants that were not learnt from."""
+
+scape_example = partial(modelled_example, habit=Scape)
 
 
 def by_hand(weight: FloatArray, x: FloatArray, stride: int, dilation: int) -> FloatArray:
@@ -127,12 +131,22 @@ def test_the_cheapest_way_goes_along_a_stem_and_round_its_bend() -> None:
     apex[40, 40] = 0.7
     maps.stem, maps.apex = stem, apex
     anchor = maps.to_px(np.array([12.0, 55.0]))
-    (way,) = guide.ways(maps, anchor)
+    (way,) = guide.ways(maps, anchor, PX_PER_CM)
     assert np.allclose(way.line_px[0], anchor)
     assert np.hypot(*(way.tip_px - maps.to_px(np.array([40.0, 40.0])))) < PX_PER_CM / 10
     corner = maps.to_px(np.array([12.0, 10.0]))
     assert np.hypot(*(way.line_px - corner).T).min() < 0.3 * PX_PER_CM
     assert 0.5 < way.sure < 0.7
+    assert way.elsewhere == pytest.approx(1e-4), "it is the only one"
+
+
+def test_an_apex_elsewhere_is_one_seven_millimetres_off_be_it_a_peak_or_not() -> None:
+    maps = maps_of(seen(wild_example(HELD_OUT[0])))
+    maps.apex = np.full((60, 50), 1e-4)
+    maps.apex[30, 20], maps.apex[30, 23], maps.apex[30, 26] = 0.5, 0.4, 0.1
+    place, apart_px = maps.to_px(np.array([20.0, 30.0])), guide.ELSEWHERE_CM * PX_PER_CM
+    assert maps.likeliest_beyond(place, apart_px) == pytest.approx(0.1), "3 px of 6 to a cm are half of one"
+    assert maps.likeliest_beyond(place, 10.0 * apart_px) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_an_apex_behind_a_gap_is_less_sure_than_one_on_the_stem() -> None:
@@ -141,7 +155,7 @@ def test_an_apex_behind_a_gap_is_less_sure_than_one_on_the_stem() -> None:
     stem[20:56, 12], stem[5:30, 40] = 0.9, 0.9
     apex[20, 12], apex[5, 40] = 0.4, 0.8
     maps.stem, maps.apex = stem, apex
-    ways = guide.ways(maps, maps.to_px(np.array([12.0, 55.0])))
+    ways = guide.ways(maps, maps.to_px(np.array([12.0, 55.0])), PX_PER_CM)
     assert [round(float(one.tip_px[0])) for one in ways] == [
         round(float(maps.to_px(np.array([x, 0.0]))[0])) for x in (12.0, 40.0)
     ]
@@ -203,7 +217,12 @@ def test_a_sure_stem_ends_beyond_the_networks_apex_in_its_direction(sure: float,
 
 @pytest.mark.parametrize(
     ("made", "off_by_cm", "share_of_trivial"),
-    [(wild_example, 0.45, 0.1), (misleading_example, 0.3, 0.1), (modelled_example, 0.45, 0.2)],
+    [
+        (wild_example, 0.45, 0.1),
+        (misleading_example, 0.3, 0.1),
+        (modelled_example, 0.45, 0.2),
+        (scape_example, 0.45, 0.5),
+    ],
 )
 def test_plants_that_were_not_learnt_from_are_seen(
     made: Callable[[int], Example | None], off_by_cm: float, share_of_trivial: float
@@ -231,7 +250,7 @@ def test_plants_that_were_not_learnt_from_are_seen(
     assert np.median(line_cm) < 0.06
 
 
-@pytest.mark.parametrize("made", [wild_example, misleading_example, modelled_example])
+@pytest.mark.parametrize("made", [wild_example, misleading_example, modelled_example, scape_example])
 def test_plants_to_learn_from_have_their_stem_where_they_say(made: Callable[[int], Example | None]) -> None:
     shown, examples = [], [made(seed) for seed in HELD_OUT[:20]]
     for example in examples:
@@ -246,7 +265,7 @@ def test_plants_to_learn_from_have_their_stem_where_they_say(made: Callable[[int
 
 
 def test_a_seed_makes_the_same_plant_again() -> None:
-    for made in (misleading_example, modelled_example):
+    for made in (misleading_example, modelled_example, scape_example):
         one, again, other = made(HELD_OUT[0]), made(HELD_OUT[0]), made(HELD_OUT[1])
         assert one is not None
         assert again is not None

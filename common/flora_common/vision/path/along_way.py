@@ -23,6 +23,9 @@ USABLE: Final = 0.13
 """How likely an apex is at least where its way is taken."""
 SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 """The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
+ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5
+"""Where the likeliest apex elsewhere is less likely than the first, the end need be less likely by that power of how
+much, and by the last at most."""
 SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 """The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
 pictures."""
@@ -62,6 +65,12 @@ TURNS_RAD, TURNS_CM, TURNS_STEP_CM = 0.5, 0.8, 0.2
 def is_usable(way: Way) -> bool:
     """Whether the way says more than other means do."""
     return way.sure >= USABLE
+
+
+def is_believed(way: Way) -> bool:
+    """Whether the end of a way is believed by itself."""
+    alone = min(1.0, way.elsewhere / ALONE) ** ALONE_POWER
+    return way.sure >= SURE * max(LEAST_ALONE, alone)
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:

@@ -48,6 +48,8 @@ ABOUT_PEAK: Final = 2
 """Half a side of the square over which places are averaged, px of the maps."""
 SMOOTHED_OVER: Final = 2
 """Steps of the way to either side over which it is evened."""
+ELSEWHERE_CM: Final = 0.7
+"""An apex farther than this from another place is not the one there."""
 MOST_APICES, LEAST_SHARE = 5, 0.3
 """So many places are compared, and none that is less likely than this share of the likeliest."""
 DEAREST: Final = 900.0
@@ -79,12 +81,14 @@ class Way:
         line_px: shape (n, 2), from the anchor to it, px of the full picture.
         along: how likely the steps of the cheapest way there are the stem's middle; empty of a known stem that is only
             drawn to its apex.
+        elsewhere: 0..1, how likely an apex is anywhere else, where no way may lead and no peak need be.
     """
 
     tip_px: FloatArray
     sure: float
     line_px: FloatArray
     along: FloatArray
+    elsewhere: float = 0.0
 
 
 @cache
@@ -150,6 +154,13 @@ class Maps:
         row, column = np.unravel_index(int(np.argmax(np.where(away <= within_px, self.apex, -1.0))), self.apex.shape)
         return int(row), int(column)
 
+    def likeliest_beyond(self, place_px: FloatArray, away_px: float) -> float:
+        """How likely an apex is at most, farther than that from a place of the full picture."""
+        height, width = self.apex.shape
+        (at_x, at_y), (step_x, step_y) = self.from_px(place_px), self._step
+        x, y = (np.arange(width) - at_x) * step_x, (np.arange(height) - at_y) * step_y
+        return float(self.apex[y[:, None] ** 2 + x**2 > away_px**2].max(initial=0.0))
+
     def about(self, pixel: tuple[int, int]) -> FloatArray:
         """The place of a peak, px of the full picture, to a fraction of a pixel."""
         part = tuple(slice(max(0, k - ABOUT_PEAK), k + ABOUT_PEAK + 1) for k in pixel)
@@ -201,15 +212,16 @@ def everywhere(evidence: Evidence, anchor_px: FloatArray, px_per_cm: float) -> t
         anchor_px: where the stem begins, (x, y) px of the full picture.
         px_per_cm: scale.
     """
-    return ways(Maps(evidence, px_per_cm, anchor_px, SEEN_CM), anchor_px)
+    return ways(Maps(evidence, px_per_cm, anchor_px, SEEN_CM), anchor_px, px_per_cm)
 
 
-def ways(maps: Maps, anchor_px: FloatArray) -> tuple[Way, ...]:
+def ways(maps: Maps, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]:
     """The likeliest apices of a picture and the ways to them, likeliest first; at least one.
 
     Args:
         maps: of the picture.
         anchor_px: where the stem begins, (x, y) px of the full picture.
+        px_per_cm: scale.
     """
     anchor = np.asarray(anchor_px, dtype=np.float64)
     height, width = maps.stem.shape
@@ -225,7 +237,8 @@ def ways(maps: Maps, anchor_px: FloatArray) -> tuple[Way, ...]:
         along = np.asarray(band[way[:, 0], way[:, 1]], dtype=np.float64)
         tip = maps.about(end)
         line = _evened(maps.to_px(_centred(maps.stem, way)), tip, anchor)
-        found.append(Way(tip, float(maps.apex[end]) * _weakest(along), line, along))
+        elsewhere = maps.likeliest_beyond(tip, ELSEWHERE_CM * px_per_cm)
+        found.append(Way(tip, float(maps.apex[end]) * _weakest(along), line, along, elsewhere))
     return tuple(sorted(found, key=lambda one: -one.sure))
 
 

@@ -14,10 +14,8 @@ import msgspec
 
 from flora_common.arrays import FloatArray
 from flora_common.vision.path.along_way import goes_aside, is_passed
-from flora_common.vision.path.guide import Way
+from flora_common.vision.path.guide import ELSEWHERE_CM, Way
 
-ELSEWHERE_CM: Final = 0.7
-"""An apex farther than this from the stem's end is another one."""
 LATELY_S: Final = 3600.0
 """Time constant of the means. Whole pictures are looked at once in it at least."""
 SHARE: Final = 0.55

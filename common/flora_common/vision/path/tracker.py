@@ -108,7 +108,7 @@ class PathTracker:
             BadPicture: not an 8-bit colour picture of the camera's size.
         """
         sight = self._sight(*self._surveyed(picture))
-        if sight.ways and sight.ways[0].sure < along_way.SURE:
+        if sight.ways and not along_way.is_believed(sight.ways[0]):
             _ = sight.strands  # they will be asked for, and pictures may be looked at in many processes
         return sight
 
