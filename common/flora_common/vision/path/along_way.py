@@ -70,7 +70,7 @@ def is_usable(way: Way) -> bool:
 def is_believed(way: Way) -> bool:
     """Whether the end of a way is believed by itself."""
     alone = min(1.0, way.elsewhere / ALONE) ** ALONE_POWER
-    return way.sure >= SURE * max(LEAST_ALONE, alone)
+    return bool(way.sure >= SURE * max(LEAST_ALONE, alone))
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
