@@ -77,13 +77,13 @@ def main() -> None:
     parser.add_argument("--wild", type=int, default=240, help=f"times {WILD_PER_FILE} wild plants (240)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {WILD_PER_FILE} stems without leaves (20)")
     parser.add_argument(
-        "--misleading", type=int, default=100, help=f"times {WILD_PER_FILE} that are easily mistaken (100)"
+        "--misleading", type=int, default=130, help=f"times {WILD_PER_FILE} that are easily mistaken (130)"
     )
     parser.add_argument("--modelled", type=int, default=300, help=f"times {WILD_PER_FILE} in three dimensions (300)")
     parser.add_argument(
-        "--scapes", dest="scape", type=int, default=100, help=f"times {WILD_PER_FILE} flowering stalks (100)"
+        "--scapes", dest="scape", type=int, default=160, help=f"times {WILD_PER_FILE} flowering stalks (160)"
     )
-    parser.add_argument("--steps", type=int, default=60_000, help="of training (60000)")
+    parser.add_argument("--steps", type=int, default=86_000, help="of training (86000)")
     parser.add_argument("--mean-with", type=Path, help="a checkpoint from before the last steps, to take the mean with")
     parser.add_argument("--mean-share", type=float, default=0.85, help="of the last steps' network in the mean (0.85)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
