@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from flora_common.arrays import Float32Array, FloatArray
+from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_common.geometry import arc_length, heading_at_end
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Layer, Network
@@ -149,17 +149,20 @@ class Maps:
 
     def nearest_peak(self, near_px: FloatArray, within_px: float) -> tuple[int, int]:
         """Row and column of the likeliest apex within a distance of a place of the full picture."""
-        rows, columns = np.indices(self.apex.shape)
-        away = np.hypot(*np.moveaxis(self.to_px(np.stack([columns, rows], axis=-1)) - near_px, -1, 0))
-        row, column = np.unravel_index(int(np.argmax(np.where(away <= within_px, self.apex, -1.0))), self.apex.shape)
+        near = np.where(self._farther(near_px, within_px), -1.0, self.apex)
+        row, column = np.unravel_index(int(np.argmax(near)), self.apex.shape)
         return int(row), int(column)
 
     def likeliest_beyond(self, place_px: FloatArray, away_px: float) -> float:
         """How likely an apex is at most, farther than that from a place of the full picture."""
+        return float(np.where(self._farther(place_px, away_px), self.apex, 0.0).max())
+
+    def _farther(self, place_px: FloatArray, away_px: float) -> BoolArray:
+        """Which places of the maps are farther than that from a place of the full picture, shape of the maps."""
         height, width = self.apex.shape
         (at_x, at_y), (step_x, step_y) = self.from_px(place_px), self._step
         x, y = (np.arange(width) - at_x) * step_x, (np.arange(height) - at_y) * step_y
-        return float(self.apex[y[:, None] ** 2 + x**2 > away_px**2].max(initial=0.0))
+        return np.asarray(x**2 + y[:, None] ** 2 > away_px**2, dtype=np.bool_)
 
     def about(self, pixel: tuple[int, int]) -> FloatArray:
         """The place of a peak, px of the full picture, to a fraction of a pixel."""
