@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection, Light
-from flora_twin.box import CAMERA
+from flora_twin.box import CAMERA, PinholeCamera
 from flora_twin.grow import parse_schedule
 from flora_twin.photographs import background_pictures, photographed
 from flora_twin.runs import open_loop
+
+FULL_PX: Final = (CAMERA.width_px, CAMERA.height_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +44,16 @@ class TruthRun:
     frames: Callable[[], Iterator[TruthFrame]]
 
 
-def twin_run(seed: int, *, hours: float = 72.0, every_s: float = 300.0, schedule: str = "6h") -> TruthRun:
+def twin_run(
+    seed: int, *, hours: float = 72.0, every_s: float = 300.0, schedule: str = "6h", size_px: tuple[int, int] = FULL_PX
+) -> TruthRun:
     """A run of the virtual grow box, photographed without the services."""
     lights = parse_schedule(schedule)
+    camera = PinholeCamera(*size_px)
 
     def frames() -> Iterator[TruthFrame]:
-        for seen in photographed(seed, open_loop(schedule), hours, first=lights(0.0), every_s=every_s):
+        first = lights(0.0)
+        for seen in photographed(seed, open_loop(schedule), hours, first=first, every_s=every_s, camera=camera):
             yield TruthFrame(seen.time_s, seen.light, seen.jpeg, seen.centreline_cm)
 
-    return TruthRun(f"twin {seed}", CAMERA.camera_section(), [*background_pictures(seed).values()], frames)
+    return TruthRun(f"twin {seed}", camera.camera_section(), [*background_pictures(seed, camera).values()], frames)

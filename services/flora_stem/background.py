@@ -13,9 +13,10 @@ from flora_common.messages import Frame
 from flora_common.runs import CameraSection, Light, RunFolder
 from flora_common.vision import lamp_states
 from flora_common.vision.lamp_states import EmptySetup, LampState
+from flora_common.vision.path.reduced import reduced
 from flora_common.vision.picture import Picture, Reduction, read_picture
 from flora_common.vision.setup import SetupMatrices, from_files, hash_of_files
-from flora_stem.finder import Finder, Method, PaperFinder, PathFinder, reduction_of
+from flora_stem.finder import Finder, Method, PaperFinder, PathFinder
 from flora_stem.section import StemSection
 
 CACHE_FILE: Final = "setup.npz"
@@ -45,7 +46,7 @@ class Background:
     def __init__(self, run: RunFolder, camera: CameraSection, section: StemSection, cache: Path) -> None:
         self._run, self._camera, self._section = run, camera, section
         self._method: Method = section.method
-        self._reduction: Reduction = reduction_of(section.method, section.paper)
+        self._reduction: Reduction = section.reduction(camera)
         self._cache = cache
         self._seen: list[tuple[str, int, int]] | None = None
         self._learner = _Learner(run, camera, section)
@@ -108,7 +109,8 @@ class Background:
         return PathFinder(setup, self._camera, self._section.path)
 
     def _read(self, path: Path) -> Picture:
-        return read_picture(path, expected_size=(self._camera.width_px, self._camera.height_px))
+        size = (self._camera.width_px, self._camera.height_px)
+        return read_picture(path, expected_size=size, reduction=self._reduction)
 
     def _matrices(self, paths: list[Path]) -> SetupMatrices:
         with contextlib.suppress(BadInput):
@@ -182,10 +184,10 @@ class _Learner:
 
     def _learn(self, files: list[str]) -> LampState:
         size = (self._camera.width_px, self._camera.height_px)
+        seen = reduced(self._camera, self._section.path)
         step = -(-len(files) // LEARN_FROM)
         pictures = []
         for file in files[::step]:
             with contextlib.suppress(BadInput):  # told when it was read for its stem
-                pictures.append(read_picture(self._run.path / file, expected_size=size))
-        widest_px = self._section.path.widest_stem_cm * self._camera.px_per_cm
-        return lamp_states.from_frames(pictures, anchor_px=self._camera.anchor_px, widest_px=widest_px)
+                pictures.append(read_picture(self._run.path / file, expected_size=size, reduction=seen.reduction))
+        return lamp_states.from_frames(pictures, anchor_px=seen.camera.anchor_px, widest_px=seen.widest_px)

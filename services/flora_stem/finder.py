@@ -12,7 +12,7 @@ from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.picture import Picture, Reduction
+from flora_common.vision.picture import Picture
 from flora_common.vision.reading import StemReading, bad_picture
 from flora_common.vision.setup import SetupMatrices
 from flora_stem.record import StemRecord
@@ -88,10 +88,7 @@ class PathFinder:
 
     def remembered(self, record: StemRecord) -> StemRecord:
         memory = self._tracker.memory
-        tip = None if memory is None else tuple(np.round(memory.line_px[-1], 3).tolist())
+        tip = None
+        if memory is not None:
+            tip = tuple(np.round(self._tracker.seen.full_px(np.array(memory.line_px[-1])), 3).tolist())
         return msgspec.structs.replace(record, path=memory, tip_px=tip)
-
-
-def reduction_of(method: Method, paper: PaperSettings) -> Reduction:
-    """The fraction of their size at which a method looks at pictures."""
-    return paper.reduction if method == "paper" else 1

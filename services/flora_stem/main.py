@@ -20,7 +20,6 @@ from flora_common.vision.picture import Picture, read_picture
 from flora_stem import calibrate
 from flora_stem.background import CACHE_FILE, Background
 from flora_stem.core import Answer, Row, StemCore
-from flora_stem.finder import reduction_of
 from flora_stem.record import RECORD_FILE, StemRecord, continued, last_track_row, read_record, write_record
 from flora_stem.section import StemSection
 
@@ -35,7 +34,7 @@ class FrameReader:
         self._run = run
         self._names = {run.path.name, run.path.resolve().name}
         self._size_px = (run_file.camera.width_px, run_file.camera.height_px)
-        self._reduction = reduction_of(section.method, section.paper)
+        self._reduction = section.reduction(run_file.camera)
 
     def __call__(self, frame: Frame) -> Picture:
         """Decoded at the reduced size straight from the file, so that it never lies in memory at its full one.
@@ -86,7 +85,7 @@ def build(app: App[StemSection]) -> None:
     track = Track(app.run)
     core = StemCore(
         app.config.method,
-        resumed(read_record(record_file, run=run_identity(app.run, run_file)), app.run, run_file),
+        resumed(read_record(record_file, run=run_identity(app.run, run_file)), app.run, run_file, app.config),
         read=FrameReader(app.run, run_file, app.config),
         now_ms=lambda: time.perf_counter() * 1000.0,
     )
@@ -143,12 +142,12 @@ def run_identity(run: RunFolder, run_file: RunFile) -> str:
     return sha256_of_bytes(f"{run.path.resolve()} {run_file.start}".encode())[:16]
 
 
-def resumed(record: StemRecord, run: RunFolder, run_file: RunFile) -> StemRecord:
+def resumed(record: StemRecord, run: RunFolder, run_file: RunFile, section: StemSection) -> StemRecord:
     """The record; where it remembers nothing, with the stem of the track's last line."""
     last = last_track_row(run.track_csv)
     if record.tip_px is not None or last is None:
         return record
-    return continued(record, last, run_file.camera)
+    return continued(record, last, run_file.camera, section.path)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

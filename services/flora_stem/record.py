@@ -17,6 +17,8 @@ from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.memory import Memory
+from flora_common.vision.path.reduced import reduced
+from flora_common.vision.path.settings import PathSettings
 
 RECORD_FILE: Final = "stem.json"
 TAIL_BYTES: Final = 8192
@@ -81,12 +83,17 @@ def last_track_row(path: Path) -> tuple[float, FloatArray] | None:
     return None
 
 
-def continued(record: StemRecord, last: tuple[float, FloatArray], camera: CameraSection) -> StemRecord:
+def continued(
+    record: StemRecord, last: tuple[float, FloatArray], camera: CameraSection, settings: PathSettings
+) -> StemRecord:
     """The record with the stem of the track's last line for what it remembers."""
     time_s, points_cm = last
-    line_px = to_px(points_cm, camera)
+    seen = reduced(camera, settings)
+    line_px = to_px(points_cm, seen.camera)
     line = [(float(x), float(y)) for x, y in line_px]
+    tip_x_px, tip_y_px = seen.full_px(line_px[-1])
     length_cm = float(polyline_length(points_cm))
     # ten points cut the corners of a bent stem by some per cent
-    memory = Memory(line, LengthState(time_s, length_cm, length_var=(0.02 * length_cm + 0.05) ** 2))
-    return msgspec.structs.replace(record, tip_px=line[-1], path=memory)
+    length = LengthState(time_s, length_cm, length_var=(0.02 * length_cm + 0.05) ** 2)
+    memory = Memory(line, length, reduction=seen.reduction)
+    return msgspec.structs.replace(record, tip_px=(float(tip_x_px), float(tip_y_px)), path=memory)

@@ -6,8 +6,11 @@ from typing import Annotated
 
 import msgspec
 
+from flora_common.runs import CameraSection
 from flora_common.vision.paper import PaperSettings
+from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.picture import Reduction
 from flora_stem.finder import Method
 
 
@@ -20,3 +23,7 @@ class StemSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the published method: where more of the picture differs from the empty setup, it is no plant."""
     path: PathSettings = PathSettings()
     paper: PaperSettings = PaperSettings()
+
+    def reduction(self, camera: CameraSection) -> Reduction:
+        """The method looks at pictures of a camera in 1/reduction of their size."""
+        return self.paper.reduction if self.method == "paper" else reduced(camera, self.path).reduction

@@ -2,6 +2,7 @@
 
     make bench-vision                                   small scale, some three minutes
     make bench-vision BENCH='--full --json out/stems.json'   the real thing, about an hour
+    .venv/bin/python tests/bench/bench_vision.py --methods path,paper --times-as-wide 2
     .venv/bin/python tests/bench/bench_vision.py --methods path --pictures out/worst --twins 3 --drawings 3
 
 Photographs are of the virtual grow box and of drawn plants, made anew from seeds. docs/results/stem-finding.md defines
@@ -31,6 +32,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from bench.vision.methods import METHODS  # noqa: E402
 from bench.vision.report import show, write_json, write_pictures  # noqa: E402
 from bench.vision.work import FAMILIES, OTHER_TOOLS, RunResult, Scale, Timing, judge_run, time_methods  # noqa: E402
+from truth_run import FULL_PX  # noqa: E402
 
 FIRST_SEED = 90_001
 """Individuals from here on are for judging and nothing else; who tunes a method takes others (--first-seed)."""
@@ -59,6 +61,7 @@ def main() -> int:
         stretch=49 if full else 13,
         other_python=other_python if any(name in OTHER_TOOLS for name in methods) else None,
         pictures=options.pictures is not None,
+        size_px=(FULL_PX[0] * options.times_as_wide, FULL_PX[1] * options.times_as_wide),
     )
     counts = {"twin": options.twins, "drawings": options.drawings}
     jobs = [
@@ -92,6 +95,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help=f"of the individuals ({FIRST_SEED})")
     parser.add_argument("--hours", type=float, default=72.0, help="length of each run (72)")
     parser.add_argument("--every-s", type=float, help="between two photographs (900; 300 with --full)")
+    parser.add_argument("--times-as-wide", type=int, default=1, help="2 for photographs of the sensor's 3280 px (1)")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="runs at a time")
     parser.add_argument("--no-time", action="store_true", help="do not measure time per frame")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")

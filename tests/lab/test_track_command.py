@@ -317,7 +317,7 @@ def test_covariates_with_commas_and_quotes_in_their_names_come_back(tmp_path: Pa
         (["--window", "1,2,3,90000"], "--window: expected a number <= 20000.0, it is 90000"),
         (["--theta-1", "0.2"], "--theta-1: is an option of --method paper, not of --method path"),
         (["--theta-2-px", "30"], "--theta-2-px: is an option of --method paper"),
-        (["--reduction", "1"], "--reduction: is an option of --method paper"),
+        (["--reduction", "3"], "--reduction: invalid enum value 3"),
         (["--smallest-component", "0"], "--smallest-component: is an option of --method paper"),
         (["--method", "paper", "--points", "y"], "--points: is an option of --method path, not of --method paper"),
         (["--method", "paper", "--widest-stem-cm", "1"], "--widest-stem-cm: is an option of --method path"),

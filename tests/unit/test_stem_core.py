@@ -50,27 +50,28 @@ class Box:
     """A run folder and the parts of the service, started again at will."""
 
     METHOD: Literal["path", "paper"] = "paper"
+    RUN_FILE = RUN_FILE
 
     def __init__(self, folder: Path) -> None:
         self.run = RunFolder(folder / "run")
         self.state = folder / "state"
         for path in (self.run.frames, self.run.background, self.state):
             path.mkdir(parents=True)
-        self.run.run_toml.write_text(run_file_text(RUN_FILE))
+        self.run.run_toml.write_text(run_file_text(self.RUN_FILE))
         self.section = StemSection(method=self.METHOD)
         self.now_ms = 0.0
         self.start()
 
     def start(self) -> None:
-        record = read_record(self.state / RECORD_FILE, run=run_identity(self.run, RUN_FILE))
+        record = read_record(self.state / RECORD_FILE, run=run_identity(self.run, self.RUN_FILE))
         self.track = Track(self.run)
         self.core = StemCore(
             self.section.method,
-            resumed(record, self.run, RUN_FILE),
-            read=FrameReader(self.run, RUN_FILE, self.section),
+            resumed(record, self.run, self.RUN_FILE, self.section),
+            read=FrameReader(self.run, self.RUN_FILE, self.section),
             now_ms=lambda: self.now_ms,
         )
-        self.background = Background(self.run, CAMERA, self.section, self.state / "setup.npz")
+        self.background = Background(self.run, self.RUN_FILE.camera, self.section, self.state / "setup.npz")
         self.look()
 
     def look(self) -> None:

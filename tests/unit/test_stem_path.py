@@ -11,7 +11,9 @@ import pytest
 from test_stem_core import CAMERA, Box, jpeg
 
 from flora_common.messages import Stem
+from flora_common.runs import CameraSection, RunFile
 from flora_common.tracks import read_track
+from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.picture import Picture
 from flora_stem.background import LEARN_AT
 from flora_stem.record import RECORD_FILE, StemRecord, continued, last_track_row, read_record, write_record
@@ -26,6 +28,16 @@ def box(tmp_path: Path) -> PathBox:
     made = PathBox(tmp_path)
     made.calibrate()
     return made
+
+
+class LargeBox(PathBox):
+    """Its camera's pictures are four times as wide: 40 px per cm, of which the method wants a half."""
+
+    RUN_FILE = RunFile(camera=CameraSection((641.5, 881.5), 40.0, 1280, 960), rig="test")
+
+    @staticmethod
+    def photograph(picture: Picture) -> Picture:
+        return np.asarray(cv2.resize(picture, (1280, 960), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
 
 
 def board(seed: int = 0) -> Picture:
@@ -116,7 +128,7 @@ def test_without_its_record_it_goes_on_from_the_track(box: PathBox) -> None:
     answer(box, 1, plant(3.0, 12.0, 1))
     last = last_track_row(box.run.track_csv)
     assert last is not None
-    record = continued(StemRecord("run"), last, CAMERA)
+    record = continued(StemRecord("run"), last, CAMERA, PathSettings())
     assert record.path is not None
     assert record.path.line_px[-1] == pytest.approx((190.0, 100.0), abs=2.5)
     assert record.path.length.length_cm == pytest.approx(12.5, abs=0.4)
@@ -165,3 +177,37 @@ def test_a_start_in_the_middle_of_a_run_learns_from_the_frames_that_are_there(tm
     assert learnt_from == [LEARN_AT[0], 2 * LEARN_AT[0]]
     box.core.use(box.background.finder, box.background.reason)
     assert answer(box, 50, plant(-4.8, 12.4, 50, leaves=False)).outcome == "ok"
+
+
+def test_large_pictures_are_read_at_a_part_of_their_size(tmp_path: Path) -> None:
+    box = LargeBox(tmp_path)
+    for i, name in enumerate(("left-1", "right-1", "dark-1")):
+        (box.run.background / f"{name}.jpg").write_bytes(jpeg(box.photograph(board(100 + i))))
+    box.look()
+    assert box.section.reduction(box.RUN_FILE.camera) == 2
+    for tick in (1, 2, 3):  # killed after each
+        stem = answer(box, tick, box.photograph(plant(3.0, 12.0 + 0.1 * tick, tick)))
+        assert stem.outcome == "ok"
+        assert np.hypot(stem.points_cm[-1][0] - 3.0, stem.points_cm[-1][1] - 12.0 - 0.1 * tick) < 0.25
+        box.start()
+    record = box.core.record
+    tip_px = 641.5 + 40 * stem.points_cm[-1][0], 881.5 - 40 * stem.points_cm[-1][1]
+    assert record.tip_px == pytest.approx(tip_px, abs=0.5)
+    (box.state / RECORD_FILE).unlink()
+    box.start()  # from the track
+    assert box.core.record.path is not None
+    assert box.core.record.path.reduction == 2
+    assert box.core.record.tip_px == pytest.approx(tip_px, abs=0.5)
+    assert answer(box, 4, box.photograph(plant(3.0, 12.4, 4))).outcome == "ok"
+
+
+def test_the_setup_is_learnt_from_large_frames_too(tmp_path: Path) -> None:
+    box = LargeBox(tmp_path)
+    for tick in range(1, LEARN_AT[0] + 1):
+        picture = box.photograph(plant(4.0 - 0.7 * tick, 10.0 + 0.1 * tick, tick, leaves=False))
+        box.background.saw(box.frame(tick, jpeg(picture)))
+    wait_until_learnt(box)
+    box.core.use(box.background.finder, box.background.reason)
+    stem = answer(box, LEARN_AT[0] + 1, box.photograph(plant(-4.8, 11.4, 50, leaves=False)))
+    assert stem.outcome == "ok"
+    assert np.hypot(stem.points_cm[-1][0] + 4.8, stem.points_cm[-1][1] - 11.4) < 0.4

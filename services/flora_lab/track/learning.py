@@ -21,6 +21,7 @@ from flora_common.vision import lamp_states
 from flora_common.vision import setup as setup_matrices
 from flora_common.vision.lamp_states import EmptySetup, LampState
 from flora_common.vision.paper import PaperSettings
+from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.setup import SetupMatrices
@@ -139,15 +140,16 @@ def path_setup(
         BadPicture: a background picture that cannot be used.
         BadInput: no background, and too few frames to learn from.
     """
+    seen = reduced(camera, settings)
     if background:
-        setup = lamp_states.from_background(picture.load(1) for picture in background)
+        setup = lamp_states.from_background(picture.load(seen.reduction) for picture in background)
         return Learnt(setup, setup.made_by, setup.pictures, len(setup.states))
     states: list[LampState] = []
     for members in _enough(frames):
-        pictures = _load(source, _spread(members, PATH_LEARNS_FROM), 1, on_frame)
+        pictures = _load(source, _spread(members, PATH_LEARNS_FROM), seen.reduction, on_frame)
         try:
-            widest_px = settings.widest_stem_cm * camera.px_per_cm
-            states.append(lamp_states.from_frames(pictures, anchor_px=camera.anchor_px, widest_px=widest_px))
+            made = lamp_states.from_frames(pictures, anchor_px=seen.camera.anchor_px, widest_px=seen.widest_px)
+            states.append(made)
         except BadPicture as problem:
             light = f"with light `{frames.lights[members[0]]}` " if source.lights is not None and members else ""
             raise BadInput(f"{source.name}: no background pictures, and {light}{problem}") from problem

@@ -52,11 +52,10 @@ class Method(Protocol):
 class PathLook:
     """The stateless part of the path method; what a copy in another process needs is made anew there."""
 
-    reduction: Reduction = 1
-
     def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
         self._made_of = (setup, camera, settings)
         self.tracker = PathTracker(setup, camera, settings)
+        self.reduction: Reduction = self.tracker.seen.reduction
 
     def __reduce__(self) -> tuple[type[PathLook], tuple[EmptySetup, CameraSection, PathSettings]]:
         return PathLook, self._made_of

@@ -16,6 +16,7 @@ import typer
 from flora_common.errors import BadInput
 from flora_common.runs import CameraSection
 from flora_common.vision.paper import PaperSettings
+from flora_common.vision.path.reduced import WIDEST_STEM_PX
 from flora_common.vision.path.settings import PathSettings
 from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, refusal, within
 from flora_lab.sources import FilmSource, FolderSource, RunSource, Source
@@ -68,6 +69,13 @@ ScaleOption = Annotated[float | None, typer.Option(help="Scale of the full pictu
 WindowOption = Annotated[
     str | None, typer.Option(metavar="X0,Y0,X1,Y1", help="Look inside this part of the picture only, px.")
 ]
+ReductionOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Look at 1/N of the size: 1, 2, 4, 8.",
+        show_default=f"path: as leaves the widest stem {WIDEST_STEM_PX:g} px; paper: nearest above 410 px width",
+    ),
+]
 IntervalOption = Annotated[
     float | None,
     typer.Option(
@@ -116,14 +124,6 @@ PointsOption = Annotated[
     ),
 ]
 
-ReductionOption = Annotated[
-    int | None,
-    typer.Option(
-        help="Look at 1/N of the size: 1, 2, 4, 8.",
-        show_default="nearest above 410 px width",
-        rich_help_panel=_PAPER_PANEL,
-    ),
-]
 Theta1Option = Annotated[
     float | None,
     typer.Option(
@@ -182,6 +182,7 @@ def settings_of(
     source: Source,
     *,
     window: str | None,
+    reduction: int | None,
     path: Mapping[str, Any],
     paper: Mapping[str, Any],
 ) -> PathSettings | PaperSettings:
@@ -190,7 +191,7 @@ def settings_of(
     Args:
         method: which.
         source: pictures.
-        window: as given, or None.
+        window, reduction: as given, or None.
         path, paper: the options of each method by name, None where not given.
 
     Raises:
@@ -204,6 +205,8 @@ def settings_of(
     values = {name: value for name, value in own.items() if value is not None}
     if window is not None:
         values["window_px"] = numbers(window, 4, "--window")
+    if reduction is not None:
+        values["reduction"] = reduction
     made: PathSettings | PaperSettings
     if method is MethodName.PATH:
         made = _converted(values, PathSettings)

@@ -12,9 +12,12 @@ from flora_common.errors import BadPicture
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.paper import PaperSettings, PaperTracker
+from flora_common.vision.path.reduced import reduced
+from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.picture import decode_picture
+from flora_common.vision.picture import Reduction, decode_picture
 from flora_common.vision.setup import from_pictures
+from flora_lab.track.options import PAPER_SAMPLING_PX
 
 Reader = Callable[[bytes, float], Found]
 """Reads the photographs of one run in their order, each with its time in s; what it remembers is its own affair."""
@@ -24,10 +27,11 @@ Method = Callable[[CameraSection, Sequence[bytes]], Reader]
 
 
 def paper(camera: CameraSection, background: Sequence[bytes]) -> Reader:
-    """The published method at its default reduction; its stem is the line through its ten points."""
-    size, reduction = (camera.width_px, camera.height_px), PaperSettings().reduction
+    """The published method at its sampling, 410 px of width; its stem is the line through its ten points."""
+    reduction: Reduction = 8 if camera.width_px >= 8 * PAPER_SAMPLING_PX else 4
+    size = camera.width_px, camera.height_px
     empty = [decode_picture(jpeg, where="background", expected_size=size, reduction=reduction) for jpeg in background]
-    tracker = PaperTracker(from_pictures(empty), camera)
+    tracker = PaperTracker(from_pictures(empty), camera, PaperSettings(reduction=reduction))
 
     def read(jpeg: bytes, time_s: float) -> Found:
         try:
@@ -43,12 +47,13 @@ def paper(camera: CameraSection, background: Sequence[bytes]) -> Reader:
 def path(camera: CameraSection, background: Sequence[bytes]) -> Reader:
     """The method of this project as the rig runs it: its own centreline, not the ten points taken from it."""
     size = (camera.width_px, camera.height_px)
-    empty = [decode_picture(jpeg, where="background", expected_size=size) for jpeg in background]
+    reduction = reduced(camera, PathSettings()).reduction
+    empty = [decode_picture(jpeg, where="background", expected_size=size, reduction=reduction) for jpeg in background]
     tracker = PathTracker(from_background(empty), camera)
 
     def read(jpeg: bytes, time_s: float) -> Found:
         try:
-            reading = tracker.read(decode_picture(jpeg, where="frame", expected_size=size), time_s)
+            reading = tracker.read(decode_picture(jpeg, where="frame", expected_size=size, reduction=reduction), time_s)
         except BadPicture:
             return Found("bad_picture", None)
         if reading.line_px is None:

@@ -21,7 +21,7 @@ from drawings import drawn_run
 from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_lab.threads import one_core
-from truth_run import TruthFrame, TruthRun, twin_run
+from truth_run import FULL_PX, TruthFrame, TruthRun, twin_run
 
 FAMILIES: Final[dict[str, Callable[..., TruthRun]]] = {"twin": twin_run, "drawings": drawn_run}
 OTHER_TOOLS: Final = ("skimage", "plantcv")
@@ -46,6 +46,7 @@ class Scale:
         stretch: and so many consecutive ones.
         other_python: of the other tools' environment; None leaves them out.
         pictures: whether the worst frames are kept.
+        size_px: width and height of the photographs.
     """
 
     hours: float
@@ -54,6 +55,11 @@ class Scale:
     stretch: int
     other_python: Path | None
     pictures: bool = False
+    size_px: tuple[int, int] = FULL_PX
+
+    def run(self, family: str, seed: int) -> TruthRun:
+        """An individual's photographs."""
+        return FAMILIES[family](seed, hours=self.hours, every_s=self.every_s, size_px=self.size_px)
 
     @property
     def frames(self) -> int:
@@ -113,7 +119,7 @@ def judge_run(
 ) -> RunResult:
     """Photograph one run and let every method read it."""
     one_core()
-    run = FAMILIES[family](seed, hours=scale.hours, every_s=scale.every_s)
+    run = scale.run(family, seed)
     judged = scale.judged()
     wanted = set(judged)
     result = RunResult(family, run.name)
@@ -174,7 +180,7 @@ def time_methods(
         methods, scale: as for :func:`judge_run`.
     """
     one_core()
-    run = FAMILIES[family](seed, hours=scale.hours, every_s=scale.every_s)
+    run = scale.run(family, seed)
     warm = -(-len(frames) // 10)
     out = {}
     for name in methods:

@@ -15,6 +15,7 @@ from flora_common.vision.path.chain import Before
 from flora_common.vision.path.length import LengthState
 from flora_common.vision.path.nearby import Nearby
 from flora_common.vision.path.rivals import Rivals
+from flora_common.vision.picture import Reduction
 from flora_common.vision.reading import JUMPED, OK, PictureOutcome
 
 LEAST_SEEN: Final = 0.35
@@ -28,11 +29,13 @@ LINE_KEPT_EVERY: Final = 4
 """Points of the line that memory keeps: one in so many, some 6 px apart."""
 
 
-class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """What the tracker knows from the pictures before; small enough to be written after each.
 
+    Its px are those of pictures as they are looked at.
+
     Attributes:
-        line_px: the stem, anchor first, tip last, px of the full picture.
+        line_px: the stem, anchor first, tip last.
         length: belief on its length.
         seen: share of it that was seen.
         doubts: readings in a row that lay elsewhere, or showed too little to be believed.
@@ -42,6 +45,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         near: what lets the stem be held to, and looked at nearby only; None where nothing but the whole can tell.
         petiole: for how many more clear pictures the line is doubted, because it was a petiole's.
         rivals: how likely its end and others have been lately.
+        reduction: of the pictures as they are looked at; what is remembered of another one is of no use.
     """
 
     line_px: list[tuple[float, float]]
@@ -54,6 +58,7 @@ class Memory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     near: Nearby | None = None
     petiole: int = 0
     rivals: Rivals | None = None
+    reduction: Reduction = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +97,14 @@ def doubted_for(memory: Memory | None) -> int:
 
 
 def remembered(
-    memory: Memory | None, line_px: FloatArray, state: State, outcome: PictureOutcome, seen: float, *, doubted: bool
+    memory: Memory | None,
+    line_px: FloatArray,
+    state: State,
+    outcome: PictureOutcome,
+    seen: float,
+    *,
+    doubted: bool,
+    reduction: Reduction,
 ) -> Memory | None:
     """What is known after a picture.
 
@@ -103,6 +115,7 @@ def remembered(
         outcome: of the reading.
         seen: share of the stem that was seen.
         doubted: whether it may be no stem at all.
+        reduction: of the pictures.
     """
     if memory is None and doubted:
         return None
@@ -129,6 +142,7 @@ def remembered(
         near=near,
         petiole=state.petiole,
         rivals=state.rivals,
+        reduction=reduction,
     )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from flora_common.runs import Px
+from flora_common.vision.picture import Reduction
 
 PositiveCm = Annotated[float, msgspec.Meta(gt=0.0, le=50.0)]
 
@@ -15,6 +16,8 @@ class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[stem.path]``; lengths in cm of the plant's plane.
 
     Attributes:
+        reduction: pictures are looked at in 1/reduction of their size; if left out, as small as leaves the widest stem
+            11 px (:mod:`flora_common.vision.path.reduced`).
         window_px: the plant is looked for in (x0, y0, x1, y1) px of the full picture; everywhere if left out.
         widest_stem_cm: what is thicker is leaf, never stem.
         longest_gap_cm: a stem is followed behind a leaf for this far.
@@ -27,6 +30,7 @@ class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             (``arc``).
     """
 
+    reduction: Reduction | None = None
     window_px: tuple[Px, Px, Px, Px] | None = None
     widest_stem_cm: PositiveCm = 0.6
     longest_gap_cm: PositiveCm = 5.0

@@ -31,6 +31,7 @@ from flora_common.vision.path.memory import (
     doubted_for,
     remembered,
 )
+from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.rivals import after as rivals_after
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.settings import PathSettings
@@ -69,34 +70,43 @@ class PathTracker:
         settings: numbers of the method.
 
     Attributes:
-        memory: of the pictures before; None at first. May be set, to go on from a stored reading.
+        seen: how pictures are looked at; the setup is at that size, too.
 
     Raises:
         BadInput: setup and camera disagree, or no pixel is left in the window.
     """
 
     def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings | None = None) -> None:
-        self.settings = settings if settings is not None else PathSettings()
-        self.camera = camera
-        self.memory: Memory | None = None
-        self._finder = PlantFinder(setup, camera, self.settings)
+        self.seen = reduced(camera, settings if settings is not None else PathSettings())
+        self.settings, self.camera = self.seen.settings, self.seen.camera
+        self._memory: Memory | None = None
+        self._finder = PlantFinder(setup, self.camera, self.settings)
         # such a setup has been seen in the same light as the picture, and its ghosts have structure of their own
-        self._likeness = SetupLikeness(setup, camera.anchor_px[1]) if setup.made_by == "background" else None
+        self._likeness = SetupLikeness(setup, self.camera.anchor_px[1]) if setup.made_by == "background" else None
         self._demands = USUAL if self._likeness is not None else OF_FRAMES
-        self._fitter = Fitter(camera, self.settings)
+        self._fitter = Fitter(self.camera, self.settings)
         self._doubtful_starts = 0
-        self._foot_px = nearest_in_window(camera, self.settings)
-        self._widest_px = self.settings.widest_stem_cm * camera.px_per_cm + BLUR_PX
+        self._foot_px = nearest_in_window(self.camera, self.settings)
+        self._widest_px = self.seen.widest_px + BLUR_PX
+
+    @property
+    def memory(self) -> Memory | None:
+        """Of the pictures before; None at first. May be set, to go on from a stored reading."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, known: Memory | None) -> None:
+        self._memory = known if known is not None and known.reduction == self.seen.reduction else None
 
     def read(self, picture: Picture, time_s: float) -> StemReading:
         """The stem in a picture, which must follow the one read before.
 
         Args:
-            picture: shape (height, width, 3), uint8, blue-green-red, full size.
+            picture: shape (height, width, 3), uint8, blue-green-red, at 1/``seen.reduction`` of the full size.
             time_s: when it was taken.
 
         Raises:
-            BadPicture: not an 8-bit colour picture of the camera's size. The memory is unchanged.
+            BadPicture: not an 8-bit colour picture of that size. The memory is unchanged.
         """
         survey, likeness = self._surveyed(picture)
         return self._near(survey, likeness, time_s) or self.follow(self._sight(survey, likeness), time_s)
@@ -105,7 +115,7 @@ class PathTracker:
         """What the whole picture shows; the larger part of the work, and the same in whatever order pictures come.
 
         Raises:
-            BadPicture: not an 8-bit colour picture of the camera's size.
+            BadPicture: not an 8-bit colour picture of the size that :meth:`read` wants.
         """
         sight = self._sight(*self._surveyed(picture))
         if sight.ways and not along_way.is_believed(sight.ways[0]):
@@ -254,17 +264,20 @@ class PathTracker:
             outcome, reason = OCCLUDED, doubt
         if unsure and outcome == OK:
             outcome, reason = OCCLUDED, unsure
-        memory = remembered(self.memory, stem.line, state, outcome, seen, doubted=bool(doubt))
+        memory = remembered(
+            self.memory, stem.line, state, outcome, seen, doubted=bool(doubt), reduction=self.seen.reduction
+        )
+        line_px = self.seen.full_px(stem.line)
         folded = bool(line_cm[:, 1].max() - line_cm[-1, 1] > FOLD_CM or (np.diff(line_cm[::4, 1]) < -0.05).any())
         reading = StemReading(
             outcome,
             seen,
             points,
-            (float(stem.line[-1, 0]), float(stem.line[-1, 1])),
+            (float(line_px[-1, 0]), float(line_px[-1, 1])),
             reason,
             uncertainty_mm=uncertainty,
             folded=folded,
-            line_px=stem.line,
+            line_px=line_px,
             stem_pixels=evidence.plant_pixels,
         )
         return reading, memory
