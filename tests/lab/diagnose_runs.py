@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -169,6 +170,20 @@ def scene_of(seed: int, **how: Any) -> Scene:
 def scenes_of(seeds: Sequence[int], effects: Effects | None = None, **how: Any) -> list[Scene]:
     """Several runs under the same effects."""
     return [scene_of(seed, change=change_of(effects or {}), **how) for seed in seeds]
+
+
+def shorter(run: MeasuredRun, hours: float) -> Scene:
+    """The beginning of a run alone."""
+    steps = round(hours * 3600.0 / run.step_s)
+    covariates = {name: values[:steps] for name, values in run.covariates.items()}
+    kept = replace(
+        run,
+        points_cm=run.points_cm[: steps + 1],
+        light=run.light[:steps],
+        time_s=run.time_s[: steps + 1],
+        covariates=covariates,
+    )
+    return Scene(kept, LAW, 22.0 if covariates else None)
 
 
 REFERENCE: Final = tuple(range(9))

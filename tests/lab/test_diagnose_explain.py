@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from diagnose_runs import known, scenes_of, warm_course
+from diagnose_runs import change_of, known, run_of, scenes_of, shorter, turns, warm_course
 
 from flora_lab.diagnose import explain, search
 from flora_lab.diagnose.courses import COURSES
@@ -49,6 +49,24 @@ def test_what_was_hidden_is_named() -> None:
     assert explained("late").found.values()[0]["offset_h"] == pytest.approx(-0.7, abs=0.15)
     assert names(explained("unequal")) == ("lamp_asymmetry",)
     assert explained("unequal").found.values()[0]["right_to_left"] == pytest.approx(0.5, rel=0.3)
+
+
+def test_a_lamp_that_changes_after_the_record_ends_is_taken_for_nothing_else() -> None:
+    """After two days the clock is two hours behind, and the plants saw a change that no record tells of."""
+    light = turns(52.0, 48.2 / 8)
+    change = change_of({"clock_skew": {"per_hour": -0.05}})
+    scenes = [shorter(run_of(seed, light=light, change=change), 48.0) for seed in (80, 81)]
+    whole = [scene.size for scene in scenes]
+    with one_blas_thread():
+        explainer = Explainer(scenes, known())
+        explanation = explainer.explain()
+    left = left_of(explanation, known())
+    assert names(explanation) == ("clock_skew",)
+    assert explanation.found.values()[0]["per_hour"] == pytest.approx(-0.05, abs=0.003)
+    assert verdict_of(named(explanation, left), left) == "explained"
+    assert all(scene.size < size for scene, size in zip(explainer.scenes, whole, strict=True))
+    assert all(44.0 < scene.time_h[scene.window].max() < 45.8 for scene in explainer.scenes)
+    assert [scene.size for scene in scenes] == whole
 
 
 @pytest.mark.parametrize("which", ["late", "slow", "unequal", "both"])

@@ -234,6 +234,32 @@ def test_no_light_is_lost_or_made_by_being_late(late_h: float, on: int) -> None:
     assert seen(late).sum(axis=0) == pytest.approx(seen(light).sum(axis=0))
 
 
+def test_what_the_record_tells_of_after_the_last_step_is_seen_too() -> None:
+    """The last hour of a run is not compared, but a plant whose clock is late has seen its lamps."""
+    scene = still(np.concatenate([turns(24.0, 30.0, "left"), turns(1.0, 30.0, "right")]))
+    assert scene.steps == 24 * 12
+    assert (scene.light[:, 0] == 1.0).all()
+    ahead = scene.shone(Change(late_h=-0.5))
+    assert ahead.shape == scene.light.shape
+    assert ahead[:-6, 0].min() == pytest.approx(1.0)
+    assert ahead[-6:, 1].min() == pytest.approx(1.0)
+    assert scene.lamps_known_until_h(Change(late_h=-0.5)) == pytest.approx(24.5)
+    assert scene.lamps_known_until_h(Change(late_per_h=-0.25)) == pytest.approx(20.0)
+    assert scene.lamps_known_until_h(Change()) == pytest.approx(25.0)
+
+
+def test_a_run_up_to_some_time_compares_nothing_that_is_later() -> None:
+    scene = still(turns(24.0, 4.0))
+    cut = scene.up_to(20.5)
+    assert cut.time_h[cut.window].max() == pytest.approx(19.5)
+    told = scene.simulated(lanes(Change()))
+    assert np.array_equal(cut.simulated(lanes(Change()))[0], told[0, scene.time_h[scene.window] < 20.0])
+    assert np.array_equal(cut.features, scene.features[: cut.size])
+    assert cut.size == len(cut.rows) == len(cut.feature) == cut.is_told.sum()
+    assert np.isnan(cut.tips(TYPICAL, np.zeros(2), Change())[0][round(20.5 * 12) :]).all()
+    assert scene.up_to(np.inf).size == scene.size > cut.size
+
+
 def test_a_clock_that_is_right_changes_no_bit() -> None:
     light = turns(6.0, 1.0)
     assert late_light(light, 1 / 12, 0.0, 0.0) is light

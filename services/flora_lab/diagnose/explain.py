@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose import chance, rhythm, search
+from flora_lab.diagnose import chance, clocks, rhythm, search
 from flora_lab.diagnose.explanation import FIRST, SECOND, SWING, THIRD, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
@@ -76,6 +76,9 @@ class Explainer:
         scenes: the measured runs.
         known: what the reference tells.
         on_step: told that a cause has been tried.
+
+    Attributes:
+        scenes: the runs as they are compared; their ends may be left out.
     """
 
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
@@ -95,6 +98,10 @@ class Explainer:
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
         alone, joint, null = self._begun()
+        cut = clocks.cut_to_known_lamps(joint, null, self.first_claim)
+        if cut is not None:
+            self.scenes = cut
+            alone, joint, null = self._begun()
         reached = _Reached(joint, null)
         stages: list[Stage] = []
         while len(stages) <= MOST_CAUSES:

@@ -9,7 +9,7 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose.joint import Base
-from flora_lab.diagnose.scene import Lanes, Scene, late_light
+from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.diagnose.virtual_plants import tips_between
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.law import Stems, standing
@@ -121,7 +121,7 @@ def _one_step(scene: Scene, traits: Array, change: Change) -> tuple[Array, Array
 
     What a plant remembers follows from the lamps alone, so it is taken from a plant that saw the same ones.
     """
-    light = late_light(scene.light, scene.step_h, change.late_h, change.late_per_h)
+    light = scene.shone(change)
     points = scene.run.points_cm[: scene.steps + 1]
     seen = np.isfinite(points[:, -1, 0])
     # A stem that lies on the soil is not one to start from.

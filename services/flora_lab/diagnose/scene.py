@@ -115,6 +115,7 @@ class Scene:
         self.steps = self.windows * self.per_window
         self._told_h = (np.arange(self.steps // self._every) + 1) * self._every * self.step_h
         self.light = run.light[: self.steps]
+        self._recorded = run.light  # the plant may have seen what the record tells of after the last step
         self.time_h = (np.arange(self.windows) + 0.5) * self.per_window * self.step_h
         warm = run.covariates.get(TEMPERATURE)
         self.warmth_c = np.zeros(self.steps)
@@ -153,6 +154,26 @@ class Scene:
         other.law = ExtendedLaw(self.law.lamps, self.terms_with(change))
         return other
 
+    def lamps_known_until_h(self, change: Change) -> float:
+        """Up to when the record tells what shone, if it runs before or behind what the lamps did; of a run's end."""
+        return float((len(self._recorded) * self.step_h + change.late_h) / max(1e-9, 1.0 - change.late_per_h))
+
+    def up_to(self, end_h: float) -> Scene:
+        """The same run, of which nothing is compared that was seen after some time."""
+        other = copy.copy(self)
+        is_kept = (self.window + 1) * self.per_window * self.step_h <= end_h
+        other.is_told = self.is_told.copy()
+        other.is_told[self.is_told] = is_kept
+        other.features, other.window, other.rows, other.feature = (
+            each[is_kept] for each in (self.features, self.window, self.rows, self.feature)
+        )
+        other.is_seen = self.is_seen & (np.arange(len(self.is_seen)) * self.step_h <= end_h)
+        return other
+
+    def shone(self, change: Change) -> Array:
+        """Levels of the lamps in each step as they were, shape (steps, 2)."""
+        return late_light(self._recorded, self.step_h, change.late_h, change.late_per_h)[: self.steps]
+
     @property
     def has_temperature(self) -> bool:
         """Whether the run tells how warm it was, and it was not always the same."""
@@ -186,7 +207,7 @@ class Scene:
             drives: by the names of :data:`USUAL`, shape (steps, lanes); as there where missing.
             every: steps from one row that is told to the next; as features need it where None.
             bends: tilt and bow of the stems from which it begins anew, rad, shape (restarts, lanes, 2).
-            lights: what shone by the record, one of shape (steps, 2) per lane; that of the run where None.
+            lights: what shone by the record, one of the shape of the run's per lane; that of the run where None.
             since: the step before which each is one with the first, ascending from 0, shape (lanes,): a plant is
                 simulated once for all.
         """
@@ -305,7 +326,7 @@ class Scene:
             return np.zeros((self.size, 0))
         bends = np.zeros((count, len(self.restarts), 2))
         bends.reshape(count, own)[np.arange(own), np.arange(own)] = np.tile(START_SD, len(self.restarts))
-        lights = np.repeat(self.light[None], count, axis=0)
+        lights = np.repeat(self._recorded[None], count, axis=0)
         for k, gap in enumerate(self._short_gaps):
             lights[own + k, gap.start : gap.stop] = gap.before
             lights[own + short + k, gap.start : gap.stop] = gap.after
@@ -337,9 +358,8 @@ class Scene:
         terms = np.stack([self.terms_with(c) for c in changes])
         if shone is not None:
             own = [late_light(one, self.step_h, c.late_h, c.late_per_h) for one, c in zip(shone, changes, strict=True)]
-            return turn, scale, terms, np.stack(own, axis=1)
-        late = {(c.late_h, c.late_per_h): k for k, c in enumerate(changes)}
-        lights = {key: late_light(self.light, self.step_h, *key) for key in late}
+            return turn, scale, terms, np.stack([one[: self.steps] for one in own], axis=1)
+        lights = {when: self.shone(c) for when, c in {(c.late_h, c.late_per_h): c for c in changes}.items()}
         light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)
         return turn, scale, terms, light
 

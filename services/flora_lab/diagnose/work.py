@@ -172,7 +172,9 @@ def diagnose(
     scenes = runs.scenes(start.usual_c, terms)
     step = stage("looking for causes", len(CATALOGUE))
     with one_blas_thread():
-        explanation = Explainer(scenes, start.known, step).explain()
+        explainer = Explainer(scenes, start.known, step)
+        explanation = explainer.explain()
+        scenes = list(explainer.scenes)
         left = left_of(explanation, start.known)
         causes = named(explanation, left)
         faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
