@@ -152,7 +152,7 @@ def _lamp_light(s: Surfaces, box: Box, which: int) -> Float32Array:
     wall = s.kind == WALL
     direct[wall] = (level * _past_edge(s, towards, lighting.LAMP_WRAP))[wall]
     low = (s.kind == FLOOR) | (s.kind == SOIL)
-    direct[low] *= _pot_shadow(s.place_cm, box.lamps_cm[which], box)[low]
+    direct[low] *= _pot_shadow(s.place_cm[low], box.lamps_cm[which], box)
     total: Float32Array = (
         s.albedo * (direct + lighting.LAMP_BOUNCE * lighting.LAMP_LEVEL * s.decor.lamp_share[which])[..., None]
     )
