@@ -25,7 +25,7 @@ def not_alike() -> Knowledge:
 
 
 def claim(one: Knowledge, runs: int = 3) -> float:
-    return Explainer(scenes_of(range(30, 30 + runs)), one).first_claim
+    return Explainer(scenes_of(range(30, 30 + runs)), one).claims.first
 
 
 def test_healthy_runs_show_next_to_nothing_in_each_other() -> None:

@@ -106,6 +106,26 @@ def test_a_cause_that_comes_to_nothing_gives_back_what_it_made_worthless(monkeyp
     assert explanation.dropped == ()
 
 
+def test_a_cause_must_be_worth_its_claim_about_the_plants_that_have_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chance answers about other plants than those without the cause; there it has a tenth of a nat too little."""
+    real = Explainer._with_the_best
+    weighed = []
+
+    def about_itself(self: Explainer, reached: explain._Reached, stage: Stage) -> explain._Reached | None:
+        with monkeypatch.context() as patch:
+            patch.setattr(explain, "evidence_for_last", lambda before, fit: self.claims.first + weighed[-1])
+            return real(self, reached, stage)
+
+    monkeypatch.setattr(Explainer, "_with_the_best", about_itself)
+    for besides, expected in ((0.1, ("lamp_asymmetry",)), (-0.1, ())):
+        weighed.append(besides)
+        with one_blas_thread():
+            explanation = Explainer(scenes_of((80, 81), UNEQUAL), known()).explain()
+        assert names(explanation) == expected
+        assert [one.tried.effect.name for one in explanation.accepted] == list(expected)
+        assert explanation.stages[0].tried[0].effect.name == "lamp_asymmetry"
+
+
 def test_a_late_answer_is_named_with_the_clock_that_may_be_wrong() -> None:
     explanation = explained("slow")
     (cause,) = named(explanation, left_of(explanation, known()))
@@ -133,9 +153,9 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
     explainer = Explainer(scenes_of((80,)), known())
     explanation = explained("late")
     late, stage = explanation.accepted, explanation.stages[0]  # a clock has no form that could be wrong
-    assert explainer._needed(stage, ()) == explainer.first_claim
-    assert explainer._needed(stage, late) == explainer.second_claim < FIRST <= explainer.first_claim
-    assert explainer._needed(stage, (*late, *late)) == explainer.third_claim
+    assert explainer._needed(stage, ()) == explainer.claims.first
+    assert explainer._needed(stage, late) == explainer.claims.causes[1] < FIRST <= explainer.claims.first
+    assert explainer._needed(stage, (*late, *late)) == explainer.claims.causes[2]
 
 
 @pytest.mark.parametrize(
@@ -154,15 +174,15 @@ def test_what_plants_of_another_law_look_like_needs_more_to_be_named_first(
     explainer, explanation = Explainer(scenes_of((80,)), known()), explained("late")
     tried = tuple(Tried(BY_NAME[name], gain, None) for name, gain in gains.items())
     stage = replace(explanation.stages[0], tried=tried)
-    assert explainer._needed(stage, ()) == explainer.first_claim + besides
-    assert explainer._needed(stage, explanation.accepted) == explainer.second_claim
+    assert explainer._needed(stage, ()) == explainer.claims.first + besides
+    assert explainer._needed(stage, explanation.accepted) == explainer.claims.causes[1]
 
 
 def test_what_is_too_little_to_be_told_hides_no_cause_with_plain_evidence() -> None:
     explainer = Explainer(scenes_of((80,)), known())
     (late,) = explained("late").accepted
-    nameless = Unnamed("gain", COURSES[0], 40.0 + explainer.nameless, np.array([-0.3]))
-    clear, weak = (replace(late.tried, gain=gain + explainer.nameless) for gain in (1.0, -1.0))
+    nameless = Unnamed("gain", COURSES[0], 40.0 + explainer.claims.nameless, np.array([-0.3]))
+    clear, weak = (replace(late.tried, gain=gain + explainer.claims.nameless) for gain in (1.0, -1.0))
     strong = Accepted(replace(late.tried, gain=10.0 * nameless.gain), late.stage)
     for best, beside, is_outdone in ((clear, (), True), (clear, (strong,), False), (weak, (strong,), True)):
         stage = Stage(late.stage.before, (best,), nameless)
@@ -235,9 +255,9 @@ def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pyte
         explainer = Explainer(scenes_of((82,), swing=(2.4, 0.8)), known())
         stage = explainer.explain().stages[0]
         assert stage.tried[0].swing is not None
-        assert stage.has_no_name(explainer.nameless, explainer.better) is False
+        assert stage.has_no_name(explainer.claims.nameless, explainer.claims.better) is False
         # As if what is left in the hours' means spoke for it more than the swing does for itself.
-        monkeypatch.setattr(explainer, "better", -1e6)
+        monkeypatch.setattr(explainer, "claims", replace(explainer.claims, better=-1e6))
         again = explainer.explain()
     assert [one.tried.effect.name for one in again.accepted] == ["circumnutation"]
     assert again.unnamed is None

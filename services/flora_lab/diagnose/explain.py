@@ -10,7 +10,8 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, clocks, rhythm, search
-from flora_lab.diagnose.explanation import FIRST, SECOND, SWING, THIRD, Accepted, Explanation, Stage, Tried
+from flora_lab.diagnose.claims import claims_of
+from flora_lab.diagnose.explanation import SWING, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
@@ -20,13 +21,6 @@ from flora_lab.diagnose.unnamed import Unnamed, unnamed
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change, Effect
 
-_DOUBT: Final = 8.0
-"""Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
-_FOUND_IN_HEALTHY: Final = 2.0
-"""Nats that are needed besides, for each that healthy runs show for a cause, in the median of the folds, beyond
-:data:`_BY_CHANCE`; and at most."""
-_BY_CHANCE: Final = 0.5
-_MOST_DOUBT: Final = 4.0
 _AS_GOOD: Final = 1.0
 """Nats within which the first cause may be another one, and needs what that one would."""
 FORM: Final = 0.015
@@ -37,13 +31,6 @@ _MOST_OF_FORM: Final = 10.0
 OF_A_SWING: Final = 0.0001
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
-NAMELESS: Final = 10.0
-"""Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
-form of the law adds up over runs."""
-BETTER: Final = 4.0
-"""Nats by which it must be better than the best cause, which then is not believed; with more runs than three by as
-much more as :data:`NAMELESS` is more: causes have what is usually wrong in the law taken off, and it has not."""
-_RUNS: Final = 3
 BESIDE: Final = 0.15
 """Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
 _MUCH: Final = 3.0
@@ -79,18 +66,13 @@ class Explainer:
 
     Attributes:
         scenes: the runs as they are compared; their ends may be left out.
+        claims: how much evidence it takes.
     """
 
     def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
         self.scenes = scenes
         self.known = known
-        more = max(1.0, len(scenes) / _RUNS)
-        doubt = more * _doubt_of(known)
-        self.first_claim = FIRST + doubt
-        self.second_claim = SECOND + doubt
-        self.third_claim = THIRD + doubt
-        self.nameless = more * NAMELESS + doubt
-        self.better = BETTER + (more - 1.0) * NAMELESS
+        self.claims = claims_of(known, len(scenes))
         self._on_step = on_step
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
@@ -98,7 +80,7 @@ class Explainer:
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
         alone, joint, null = self._begun()
-        cut = clocks.cut_to_known_lamps(joint, null, self.first_claim)
+        cut = clocks.cut_to_known_lamps(joint, null, self.claims.first)
         if cut is not None:
             self.scenes = cut
             alone, joint, null = self._begun()
@@ -122,8 +104,9 @@ class Explainer:
 
     def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether the best cause of a stage is one."""
-        is_enough = stage.tried[0].gain >= self._needed(stage, accepted)
-        return is_enough and len(accepted) < MOST_CAUSES and not self._is_outdone(stage, accepted)
+        if len(accepted) == MOST_CAUSES:
+            return False
+        return stage.tried[0].gain >= self._needed(stage, accepted) and not self._is_outdone(stage, accepted)
 
     def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | None:
         """With the best cause of a stage besides; None where it comes to next to nothing."""
@@ -136,14 +119,16 @@ class Explainer:
         assert best.found is not None
         found = self._pruned(reached.joint, best.found, accepted)
         self._answer(found)
-        if swing is not None and self._swing(found).gain < self.first_claim:
+        if swing is not None and self._swing(found).gain < self.claims.first:
             # What seemed to swing was this cause.
             swing = None
             accepted = [one for one in accepted if one.tried.swing is None]
         joint = self._joint(swing)
         found = joint.fit(_started(found))
         # With what chance does about it, it may be next to nothing, and what it made worthless is not.
-        return _Reached(joint, found, swing, tuple(accepted)) if _is_worth_a_name(found) else None
+        without = joint.fit(_without(found, best.effect.name))
+        is_still_one = evidence_for_last(without, found) >= self.claims.causes[len(accepted) - 1]
+        return _Reached(joint, found, swing, tuple(accepted)) if is_still_one and _is_worth_a_name(found) else None
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""
@@ -176,11 +161,10 @@ class Explainer:
         """Nats that the best cause of a stage must have, on top of those accepted."""
         if not accepted:
             as_good = stage.tried[0].gain - _AS_GOOD
-            return self.first_claim + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
+            return self.claims.first + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        least = self.second_claim if len(accepted) == 1 else self.third_claim
-        return least + min(wrong, _MOST_OF_FORM)
+        return self.claims.causes[len(accepted)] + min(wrong, _MOST_OF_FORM)
 
     def _is_outdone(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether something without a name comes before the best cause.
@@ -189,10 +173,10 @@ class Explainer:
         much as it takes to be told without a name.
         """
         is_told = self._has_no_name(stage, self._told_from(accepted))
-        return is_told or (self._has_no_name(stage) and stage.tried[0].gain < self.nameless)
+        return is_told or (self._has_no_name(stage) and stage.tried[0].gain < self.claims.nameless)
 
     def _has_no_name(self, stage: Stage, least: float | None = None) -> bool:
-        return stage.has_no_name(self.nameless if least is None else least, self.better)
+        return stage.has_no_name(self.claims.nameless if least is None else least, self.claims.better)
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
@@ -201,14 +185,14 @@ class Explainer:
 
     def _told_from(self, accepted: Sequence[Accepted]) -> float:
         """Nats from which something without a name is told beside causes."""
-        return max(self.nameless, BESIDE * sum(one.tried.gain for one in accepted))
+        return max(self.claims.nameless, BESIDE * sum(one.tried.gain for one in accepted))
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name))
-            if found.evidence - less.evidence >= self.first_claim:
+            if found.evidence - less.evidence >= self.claims.first:
                 continue
             found = less
             accepted.remove(earlier)
@@ -348,15 +332,6 @@ class Explainer:
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)
-
-
-def _doubt_of(known: Knowledge) -> float:
-    """Nats that a cause needs besides in three runs, for the law has errors that look like causes."""
-    of_errors = _DOUBT * max(0.0, known.errors.beyond_expected)
-    if not len(known.cross_fit):
-        return of_errors
-    found = float(np.median(known.cross_fit))  # one odd plant makes one odd fold
-    return max(of_errors, min(_FOUND_IN_HEALTHY * max(0.0, found - _BY_CHANCE), _MOST_DOUBT))
 
 
 def _tried(before: Found, effect: Effect, fit: Found) -> Tried:

@@ -1,0 +1,63 @@
+"""How much evidence it takes to tell a cause, or something without a name, in some runs beside a reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD
+from flora_lab.diagnose.knowledge import Knowledge
+
+_DOUBT: Final = 8.0
+"""Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
+_FOUND_IN_HEALTHY: Final = 2.0
+"""Nats that are needed besides, for each that healthy runs show for a cause, in the median of the folds, beyond
+:data:`_BY_CHANCE`; and at most."""
+_BY_CHANCE: Final = 0.5
+_MOST_DOUBT: Final = 4.0
+NAMELESS: Final = 10.0
+"""Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
+form of the law adds up over runs."""
+BETTER: Final = 4.0
+"""Nats by which it must be better than the best cause, which then is not believed; with more runs than three by as
+much more as :data:`NAMELESS` is more: causes have what is usually wrong in the law taken off, and it has not."""
+_RUNS: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Claims:
+    """Nats.
+
+    Attributes:
+        causes: that the first, the second and the third cause need.
+        nameless: that something without a name needs.
+        better: by which it must be better than the best cause.
+    """
+
+    causes: tuple[float, float, float]
+    nameless: float
+    better: float
+
+    @property
+    def first(self) -> float:
+        return self.causes[0]
+
+
+def claims_of(known: Knowledge, runs: int) -> Claims:
+    """What is asked where so many runs are compared."""
+    more = max(1.0, runs / _RUNS)
+    doubt = more * _doubt_of(known)
+    return Claims(
+        (FIRST + doubt, SECOND + doubt, THIRD + doubt), more * NAMELESS + doubt, BETTER + (more - 1.0) * NAMELESS
+    )
+
+
+def _doubt_of(known: Knowledge) -> float:
+    """Nats that a cause needs besides in three runs, for the law has errors that look like causes."""
+    of_errors = _DOUBT * max(0.0, known.errors.beyond_expected)
+    if not len(known.cross_fit):
+        return of_errors
+    found = float(np.median(known.cross_fit))  # one odd plant makes one odd fold
+    return max(of_errors, min(_FOUND_IN_HEALTHY * max(0.0, found - _BY_CHANCE), _MOST_DOUBT))
