@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from diagnose_runs import change_of, known, run_of, scenes_of, shorter, turns, warm_course
 
-from flora_lab.diagnose import explain, search
+from flora_lab.diagnose import claims, explain, search
 from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
 from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD, Accepted, Explanation, Stage, Tried
@@ -338,7 +338,7 @@ def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPa
 def test_as_much_is_asked_of_another_constant_of_the_plant_as_of_any_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     of_constants = {effect.name for effect in CATALOGUE if effect.forms and effect.is_of_constants}
     assert of_constants == {"growth_rate", "stiffening", "gravitropism", "proprioception", "phototropic_gain"}
-    monkeypatch.setattr(explain, "FIRST", 1000.0)
+    monkeypatch.setattr(claims, "FIRST", 1000.0)
     slow: Effects = {"growth_rate": {"factor": 0.45}}
     with one_blas_thread():
         grown, unequal = (Explainer(scenes_of((80, 81), hidden), known()).explain() for hidden in (slow, UNEQUAL))
