@@ -12,7 +12,7 @@ from flora_lab.diagnose.knowledge import Knowledge
 
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
-_FOUND_IN_HEALTHY: Final = 2.0
+_FOUND_IN_HEALTHY: Final = 1.0
 """Nats that are needed besides, for each that healthy runs show for a cause, in the median of the folds, beyond
 :data:`_BY_CHANCE`; and at most."""
 _BY_CHANCE: Final = 0.5
