@@ -12,6 +12,7 @@ import pytest
 from diagnose_runs import change_of, known, run_of, scenes_of, shorter, turns, warm_course
 
 from flora_lab.diagnose import claims, explain, search
+from flora_lab.diagnose.clocks import left_out
 from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
 from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD, Accepted, Explanation, Stage, Tried
@@ -67,6 +68,10 @@ def test_a_lamp_that_changes_after_the_record_ends_is_taken_for_nothing_else() -
     assert all(scene.size < size for scene, size in zip(explainer.scenes, whole, strict=True))
     assert all(44.0 < scene.time_h[scene.window].max() < 45.8 for scene in explainer.scenes)
     assert [scene.size for scene in scenes] == whole
+    told = left_out(scenes, explainer.scenes)
+    assert len(told) == len(scenes)
+    assert told[0].startswith("plant80: what the plant did in the last 2 h is not compared")
+    assert left_out(scenes, scenes) == []
 
 
 @pytest.mark.parametrize("which", ["late", "slow", "unequal", "both"])

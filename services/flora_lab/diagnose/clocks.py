@@ -6,6 +6,7 @@ taken for none, is hundreds of times what happens by chance, and looks like anyt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from flora_lab.diagnose import search
@@ -39,3 +40,18 @@ def cut_to_known_lamps(joint: Joint, null: Found, least_nats: float) -> list[Sce
     change = best.hypothesis.change(best.coordinates)
     cut = [scene.up_to(scene.lamps_known_until_h(change) - MARGIN_H) for scene in scenes]
     return None if all(one.size == scene.size for one, scene in zip(cut, scenes, strict=True)) else cut
+
+
+def left_out(whole: Sequence[Scene], compared: Sequence[Scene]) -> list[str]:
+    """What was cut, in a sentence for each run of which something was."""
+    ends_h = [(one, _end_h(one), _end_h(other)) for one, other in zip(whole, compared, strict=True)]
+    return [
+        f"{one.run.name}: what the plant did in the last {end_h - cut_h:.0f} h is not compared: a clock seems to be off, and "
+        "the record of the lamps ends before what the plant saw then"
+        for one, end_h, cut_h in ends_h
+        if cut_h < end_h
+    ]
+
+
+def _end_h(scene: Scene) -> float:
+    return float(scene.time_h[scene.window[-1]]) if scene.size else 0.0

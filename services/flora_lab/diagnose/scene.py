@@ -155,7 +155,7 @@ class Scene:
         return other
 
     def lamps_known_until_h(self, change: Change) -> float:
-        """Up to when the record tells what shone, if it runs before or behind what the lamps did; of a run's end."""
+        """Hours from the start up to which the record tells what shone, if it runs before the lamps or behind them."""
         return float((len(self._recorded) * self.step_h + change.late_h) / max(1e-9, 1.0 - change.late_per_h))
 
     def up_to(self, end_h: float) -> Scene:

@@ -13,7 +13,7 @@ import msgspec
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
-from flora_lab.diagnose import chance, emulated, stored_base
+from flora_lab.diagnose import chance, clocks, emulated, stored_base
 from flora_lab.diagnose.cross_fit import ROUNDS, learn_from
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import Explainer
@@ -174,6 +174,7 @@ def diagnose(
     with one_blas_thread():
         explainer = Explainer(scenes, start.known, step)
         explanation = explainer.explain()
+        left_out = clocks.left_out(scenes, explainer.scenes)
         scenes = list(explainer.scenes)
         left = left_of(explanation, start.known)
         causes = named(explanation, left)
@@ -196,7 +197,7 @@ def diagnose(
         next_experiment=asked,
         summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"]),
         described=_described(left),
-        record=list(runs.notes),
+        record=[*runs.notes, *left_out],
         runs=[files.shown(track.file) for track in runs.tracks],
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),
