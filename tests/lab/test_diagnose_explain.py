@@ -70,7 +70,7 @@ def test_a_lamp_that_changes_after_the_record_ends_is_taken_for_nothing_else() -
     assert [scene.size for scene in scenes] == whole
     told = left_out(scenes, explainer.scenes)
     assert len(told) == len(scenes)
-    assert told[0].startswith("plant80: what the plant did in the last 2 h is not compared")
+    assert told[0].startswith("plant80: the plant's last 2 h are not compared")
     assert left_out(scenes, scenes) == []
 
 
