@@ -46,8 +46,8 @@ def left_out(whole: Sequence[Scene], compared: Sequence[Scene]) -> list[str]:
     """What was cut, in a sentence for each run of which something was."""
     ends_h = [(one, _end_h(one), _end_h(other)) for one, other in zip(whole, compared, strict=True)]
     return [
-        f"{one.run.name}: the plant's last {end_h - cut_h:.0f} h are not compared: a clock seems to be off, and the record "
-        "of the lamps ends before what the plant saw then"
+        f"{one.run.name}: the plant's last {end_h - cut_h:.0f} h are not compared: a clock seems to be off, and the "
+        "record of the lamps ends before what the plant saw then"
         for one, end_h, cut_h in ends_h
         if cut_h < end_h
     ]
