@@ -13,9 +13,8 @@ from drawings.plant import Plant
 from drawings.scene import make_scene
 from drawings.stem import ToPx
 from flora_common.runs import LIGHTS, CameraSection, Light
-from truth_run import TruthFrame, TruthRun
+from truth_run import FULL_PX, TruthFrame, TruthRun
 
-FULL_PX = 1640, 1232
 BACKGROUND_EACH = 2
 
 

@@ -12,10 +12,10 @@ from path_fakes import CAMERA, HEIGHT, WIDTH, drawn, tip_error_mm
 from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
-from flora_common.vision.path.reduced import REDUCTIONS, WIDEST_STEM_PX, reduced
+from flora_common.vision.path.reduced import WIDEST_STEM_PX, reduced
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.picture import Picture, Reduction, reduce_picture
+from flora_common.vision.picture import REDUCTIONS, Picture, Reduction, reduce_picture
 
 TWICE = CameraSection(
     anchor_px=((CAMERA.anchor_px[0] + 0.5) * 2 - 0.5, (CAMERA.anchor_px[1] + 0.5) * 2 - 0.5),
@@ -101,7 +101,7 @@ def test_pictures_are_as_small_as_the_widest_stem_lets_them_be(
     assert seen.widest_px >= WIDEST_STEM_PX or reduction == 1
 
 
-@pytest.mark.parametrize("reduction", [1, *REDUCTIONS])
+@pytest.mark.parametrize("reduction", REDUCTIONS)
 def test_places_in_reduced_pictures_are_those_in_full_ones(reduction: Reduction) -> None:
     window = (100.0, 50.0, 1500.0, 1100.0)
     camera = CameraSection((801.3, 1003.8), 31.7, 1641, 1233)

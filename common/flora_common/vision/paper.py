@@ -34,7 +34,7 @@ from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_common.errors import BadInput, BadPicture
 from flora_common.runs import CameraSection, Px
 from flora_common.shapes import STEM_POINTS
-from flora_common.vision.picture import Picture, Reduction, checked_array, reduced_size
+from flora_common.vision.picture import Picture, Reduction, checked_array, full_px, reduced_size
 from flora_common.vision.reading import JUMPED, OK, TOUCHES_EDGE, PictureOutcome, StemReading, no_stem
 from flora_common.vision.setup import SetupMatrices, green
 
@@ -87,8 +87,7 @@ class PaperTracker:
         self.camera = camera
         self.tip_px: tuple[float, float] | None = None
         self._size = reduced_size((camera.width_px, camera.height_px), self.settings.reduction)
-        self._x_px = _full_px(self._size[0], self.settings.reduction)
-        self._y_px = _full_px(self._size[1], self.settings.reduction)
+        self._x_px, self._y_px = (full_px(np.arange(n, dtype=np.float64), self.settings.reduction) for n in self._size)
         self._window = self._window_slices()
         self._theta_2 = self.settings.theta_2_px * camera.width_px / self.settings.reference_width_px
         self.set_setup(setup)
@@ -265,8 +264,3 @@ def _middle_of_largest(value: FloatArray, x: FloatArray) -> int:
     tied = np.flatnonzero(value >= value.max() - _TIE)
     by_x = tied[np.argsort(x[tied], kind="stable")]
     return int(by_x[(by_x.size - 1) // 2])
-
-
-def _full_px(count: int, reduction: int) -> FloatArray:
-    """Centre of each reduced pixel in px of the full picture."""
-    return (np.arange(count, dtype=np.float64) + 0.5) * float(reduction) - 0.5

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common import files
-from flora_common.arrays import ByteArray
+from flora_common.arrays import ByteArray, FloatArray
 from flora_common.errors import BadPicture
 from flora_common.vision.header import JPEG_START, picture_size
 
@@ -25,6 +25,7 @@ Picture = npt.NDArray[np.uint8]
 """Shape (height, width, 3), channels blue, green, red, as OpenCV has them."""
 
 Reduction = Literal[1, 2, 4, 8]
+REDUCTIONS: Final[tuple[Reduction, ...]] = (1, 2, 4, 8)
 
 PICTURE_SUFFIXES: Final = (".jpg", ".jpeg", ".png")
 MAX_FILE_BYTES: Final = 256 << 20
@@ -139,6 +140,11 @@ def checked_array(picture: ByteArray, *, where: str) -> Picture:
 def reduced_size(size: tuple[int, int], reduction: int) -> tuple[int, int]:
     """(width, height) of a picture decoded at 1/reduction: libjpeg rounds up."""
     return -(-size[0] // reduction), -(-size[1] // reduction)
+
+
+def full_px(places_px: FloatArray, reduction: int) -> FloatArray:
+    """Places in px of a picture at 1/reduction as px of the full one; a pixel's centre is at whole numbers in both."""
+    return (places_px + 0.5) * float(reduction) - 0.5
 
 
 def reduce_picture(picture: Picture, reduction: Reduction) -> Picture:

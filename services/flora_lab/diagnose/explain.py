@@ -126,9 +126,11 @@ class Explainer:
         joint = self._joint(swing)
         found = joint.fit(_started(found))
         # With what chance does about it, it may be next to nothing, and what it made worthless is not.
+        if not _is_worth_a_name(found):
+            return None
         without = joint.fit(_without(found, best.effect.name))
         is_still_one = evidence_for_last(without, found) >= self.claims.causes[len(accepted) - 1]
-        return _Reached(joint, found, swing, tuple(accepted)) if is_still_one and _is_worth_a_name(found) else None
+        return _Reached(joint, found, swing, tuple(accepted)) if is_still_one else None
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""

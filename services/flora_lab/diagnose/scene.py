@@ -170,9 +170,10 @@ class Scene:
         other.is_seen = self.is_seen & (np.arange(len(self.is_seen)) * self.step_h <= end_h)
         return other
 
-    def shone(self, change: Change) -> Array:
-        """Levels of the lamps in each step as they were, shape (steps, 2)."""
-        return late_light(self._recorded, self.step_h, change.late_h, change.late_per_h)[: self.steps]
+    def shone(self, change: Change, recorded: Array | None = None) -> Array:
+        """Levels of the lamps in each step as they were, shape (steps, 2); by another record than the run's, if given."""
+        record = self._recorded if recorded is None else recorded
+        return late_light(record, self.step_h, change.late_h, change.late_per_h)[: self.steps]
 
     @property
     def has_temperature(self) -> bool:
@@ -357,8 +358,8 @@ class Scene:
         scale = np.array([c.scale for c in changes])
         terms = np.stack([self.terms_with(c) for c in changes])
         if shone is not None:
-            own = [late_light(one, self.step_h, c.late_h, c.late_per_h) for one, c in zip(shone, changes, strict=True)]
-            return turn, scale, terms, np.stack([one[: self.steps] for one in own], axis=1)
+            own = [self.shone(c, one) for one, c in zip(shone, changes, strict=True)]
+            return turn, scale, terms, np.stack(own, axis=1)
         lights = {when: self.shone(c) for when, c in {(c.late_h, c.late_per_h): c for c in changes}.items()}
         light = np.stack([lights[c.late_h, c.late_per_h] for c in changes], axis=1)
         return turn, scale, terms, light

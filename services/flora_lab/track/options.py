@@ -18,6 +18,7 @@ from flora_common.runs import CameraSection
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.reduced import WIDEST_STEM_PX
 from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.picture import REDUCTIONS, Reduction
 from flora_lab.option_values import LEAST_S, LONGEST_STEP_S, refusal, within
 from flora_lab.sources import FilmSource, FolderSource, RunSource, Source
 from flora_lab.track.readings import Span
@@ -211,9 +212,14 @@ def settings_of(
     if method is MethodName.PATH:
         made = _converted(values, PathSettings)
         return made
-    fitting = (r for r in (1, 2, 4, 8) if source.size_px[0] / r >= PAPER_SAMPLING_PX)
-    made = _converted({"reduction": max(fitting, default=1), **values}, PaperSettings)
+    made = _converted({"reduction": paper_reduction(source.size_px[0]), **values}, PaperSettings)
     return made
+
+
+def paper_reduction(width_px: int) -> Reduction:
+    """The largest one that leaves a picture of that width its published sampling."""
+    fitting = [r for r in REDUCTIONS if width_px / r >= PAPER_SAMPLING_PX]
+    return max(fitting, default=1)
 
 
 OPTION_NAMES: Final = {

@@ -15,9 +15,9 @@ from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.tracker import PathTracker
-from flora_common.vision.picture import Reduction, decode_picture
+from flora_common.vision.picture import decode_picture
 from flora_common.vision.setup import from_pictures
-from flora_lab.track.options import PAPER_SAMPLING_PX
+from flora_lab.track.options import paper_reduction
 
 Reader = Callable[[bytes, float], Found]
 """Reads the photographs of one run in their order, each with its time in s; what it remembers is its own affair."""
@@ -28,8 +28,7 @@ Method = Callable[[CameraSection, Sequence[bytes]], Reader]
 
 def paper(camera: CameraSection, background: Sequence[bytes]) -> Reader:
     """The published method at its sampling, 410 px of width; its stem is the line through its ten points."""
-    reduction: Reduction = 8 if camera.width_px >= 8 * PAPER_SAMPLING_PX else 4
-    size = camera.width_px, camera.height_px
+    size, reduction = (camera.width_px, camera.height_px), paper_reduction(camera.width_px)
     empty = [decode_picture(jpeg, where="background", expected_size=size, reduction=reduction) for jpeg in background]
     tracker = PaperTracker(from_pictures(empty), camera, PaperSettings(reduction=reduction))
 

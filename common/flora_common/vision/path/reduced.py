@@ -10,18 +10,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import msgspec
-import numpy as np
 
 from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.picture import Reduction, reduced_size
+from flora_common.vision.picture import REDUCTIONS, Reduction, full_px, reduced_size
 
 WIDEST_STEM_PX: Final = 11.0
 """The widest stem keeps so many px: what the method was made for, 18 px per cm and stems of up to 6 mm."""
 LEAST_SIDE_PX: Final = 400
 """A picture keeps so many px along its shorter side."""
-REDUCTIONS: Final[tuple[Reduction, ...]] = (8, 4, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +42,8 @@ class Reduced:
         return self.settings.widest_stem_cm * self.camera.px_per_cm
 
     def full_px(self, places_px: FloatArray) -> FloatArray:
-        """Places (..., 2) in px of the full picture; a pixel's centre is at whole numbers in both."""
-        if self.reduction == 1:
-            return places_px
-        return np.asarray((places_px + 0.5) * self.reduction - 0.5, dtype=np.float64)
+        """Places (..., 2) in px of the full picture."""
+        return places_px if self.reduction == 1 else full_px(places_px, self.reduction)
 
 
 def reduced(camera: CameraSection, settings: PathSettings) -> Reduced:
@@ -77,8 +73,8 @@ def reduced(camera: CameraSection, settings: PathSettings) -> Reduced:
 def _fitting(camera: CameraSection, settings: PathSettings) -> Reduction:
     widest_px = settings.widest_stem_cm * camera.px_per_cm
     shorter_px = min(camera.width_px, camera.height_px)
-    fits = (r for r in REDUCTIONS if widest_px >= WIDEST_STEM_PX * r and shorter_px >= LEAST_SIDE_PX * r)
-    return next(fits, 1)
+    fits = [r for r in REDUCTIONS if widest_px >= WIDEST_STEM_PX * r and shorter_px >= LEAST_SIDE_PX * r]
+    return max(fits, default=1)
 
 
 def _reduced_px(place_px: float, reduction: int) -> float:
