@@ -171,7 +171,7 @@ class Scene:
         return other
 
     def shone(self, change: Change, recorded: Array | None = None) -> Array:
-        """Levels of the lamps in each step as they were, shape (steps, 2); by another record than the run's, if given."""
+        """Levels of the lamps in each step as they were, shape (steps, 2); by another record than the run's, if any."""
         record = self._recorded if recorded is None else recorded
         return late_light(record, self.step_h, change.late_h, change.late_per_h)[: self.steps]
 
