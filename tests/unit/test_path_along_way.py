@@ -38,7 +38,16 @@ def way(sure: float, *, top_cm: float = TOP_CM, aside_cm: float = 0.0, beyond: f
 def test_an_apex_needs_to_be_less_likely_where_there_is_hardly_another(
     sure: float, elsewhere: float, believed: bool
 ) -> None:
-    assert along_way.is_believed(replace(way(sure), elsewhere=elsewhere)) == believed
+    assert along_way.is_believed(replace(way(sure), elsewhere=elsewhere), is_first=False) == believed
+
+
+@pytest.mark.parametrize(
+    ("sure", "elsewhere", "believed"), [(0.31, 0.12, True), (0.32, 0.15, False), (0.36, 0.15, True), (0.2, 0.06, True)]
+)
+def test_another_likely_apex_counts_against_one_of_which_nothing_is_known(
+    sure: float, elsewhere: float, believed: bool
+) -> None:
+    assert along_way.is_believed(replace(way(sure), elsewhere=elsewhere), is_first=True) == believed
 
 
 def before(top_cm: float) -> Before:

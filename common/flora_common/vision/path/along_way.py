@@ -25,7 +25,7 @@ SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 """The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
 ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5
 """Where the likeliest apex elsewhere is less likely than the first, the end need be less likely by that power of how
-much, and by the last at most."""
+much, and by the last at most; where it is likelier, and nothing is known from pictures before, by as much likelier."""
 SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 """The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
 pictures."""
@@ -67,10 +67,15 @@ def is_usable(way: Way) -> bool:
     return way.sure >= USABLE
 
 
-def is_believed(way: Way) -> bool:
-    """Whether the end of a way is believed by itself."""
-    alone = min(1.0, way.elsewhere / ALONE) ** ALONE_POWER
-    return bool(way.sure >= SURE * max(LEAST_ALONE, alone))
+def is_believed(way: Way, *, is_first: bool) -> bool:
+    """Whether the end of a way is believed by itself.
+
+    Args:
+        way: to it.
+        is_first: nothing is known from pictures before, so that an apex elsewhere counts against it, too.
+    """
+    alone = (way.elsewhere / ALONE) ** ALONE_POWER
+    return bool(way.sure >= SURE * max(LEAST_ALONE, alone if is_first else min(1.0, alone)))
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:

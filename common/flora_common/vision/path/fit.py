@@ -244,7 +244,7 @@ class Fitter:
 
     def _is_plain(self, way: Way, final: Stem, sight: Sight, sampler: Sampler, past: Past) -> bool:
         """Whether the end of a way is believed: it is likely, was plain to see before, or the rules come to it."""
-        if along_way.is_believed(way):
+        if along_way.is_believed(way, is_first=past.before is None):
             return True
         if way.sure >= along_way.SURE_AGAIN and past.followed.is_known and past.followed.is_near(final.line[-1]):
             return True

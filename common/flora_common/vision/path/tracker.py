@@ -118,7 +118,7 @@ class PathTracker:
             BadPicture: not an 8-bit colour picture of the size that :meth:`read` wants.
         """
         sight = self._sight(*self._surveyed(picture))
-        if sight.ways and not along_way.is_believed(sight.ways[0]):
+        if sight.ways and not along_way.is_believed(sight.ways[0], is_first=True):
             _ = sight.strands  # they will be asked for, and pictures may be looked at in many processes
         return sight
 
