@@ -118,7 +118,8 @@ def test_a_cause_must_be_worth_its_claim_about_the_plants_that_have_it_too(monke
 
     def about_itself(self: Explainer, reached: explain._Reached, stage: Stage) -> explain._Reached | None:
         with monkeypatch.context() as patch:
-            patch.setattr(explain, "evidence_for_last", lambda before, fit: self.claims.first + weighed[-1])
+            least = self.claims.first + BY_NAME["lamp_asymmetry"].first_needs
+            patch.setattr(explain, "evidence_for_last", lambda before, fit: least + weighed[-1])
             return real(self, reached, stage)
 
     monkeypatch.setattr(Explainer, "_with_the_best", about_itself)
@@ -170,7 +171,9 @@ def test_beside_a_cause_a_second_one_needs_less_than_the_first() -> None:
         ({"growth_rate": 5.0, "camera_roll": 4.5}, 4.0),  # it may be the other one
         ({"camera_roll": 5.0, "growth_rate": 4.5}, 4.0),
         ({"proprioception": 5.0, "growth_rate": 1.0}, 4.0),
-        ({"stiffening": 5.0, "growth_rate": 1.0}, 2.0),
+        ({"stiffening": 5.0, "growth_rate": 1.0}, 1.0),
+        ({"phototropic_gain": 2.0, "growth_rate": 0.5}, -1.2),  # no healthy plant looks like it
+        ({"phototropic_gain": 2.0, "growth_rate": 1.5}, 0.0),
     ],
 )
 def test_what_plants_of_another_law_look_like_needs_more_to_be_named_first(
@@ -199,7 +202,7 @@ def test_with_more_runs_more_is_asked_of_what_has_no_name(runs: int, is_outdone:
     explainer = Explainer(list(scenes_of((80,))) * runs, known())
     (late,) = explained("late").accepted
     best = replace(late.tried, gain=100.0)
-    nameless = Unnamed("gain", COURSES[0], best.gain + 8.0, np.array([-0.3]))
+    nameless = Unnamed("gain", COURSES[0], best.gain + 9.0, np.array([-0.3]))
     assert explainer._is_outdone(Stage(late.stage.before, (best,), nameless), ()) == is_outdone
 
 

@@ -17,7 +17,7 @@ _FOUND_IN_HEALTHY: Final = 1.0
 :data:`_BY_CHANCE`; and at most."""
 _BY_CHANCE: Final = 0.5
 _MOST_DOUBT: Final = 4.0
-NAMELESS: Final = 10.0
+NAMELESS: Final = 14.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
 BETTER: Final = 4.0

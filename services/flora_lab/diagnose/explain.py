@@ -129,8 +129,12 @@ class Explainer:
         if not _is_worth_a_name(found):
             return None
         without = joint.fit(_without(found, best.effect.name))
-        is_still_one = evidence_for_last(without, found) >= self.claims.causes[len(accepted) - 1]
+        is_still_one = evidence_for_last(without, found) >= self._least(best.effect, len(accepted) - 1)
         return _Reached(joint, found, swing, tuple(accepted)) if is_still_one else None
+
+    def _least(self, effect: Effect, others: int) -> float:
+        """Nats that a cause beside so many others must keep about the plants that have it."""
+        return self.claims.causes[others] + (0.0 if others else min(0.0, effect.first_needs))
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""

@@ -47,6 +47,7 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=1.0,
     same_as={
         "phototropic_gain": "a lamp that shines for a day and longer, beside fast turns",
         "proprioception": "a lamp that shines for a day and longer, beside fast turns",

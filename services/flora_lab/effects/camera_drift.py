@@ -37,4 +37,5 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=1.0,
 )

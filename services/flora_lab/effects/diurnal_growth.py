@@ -57,5 +57,6 @@ EFFECT: Final = Effect(
         acting,
     ),
     sentence=sentence,
+    first_needs=4.0,
     same_as={"temperature_growth": "a day of constant temperature, or lamps shifted against the day"},
 )

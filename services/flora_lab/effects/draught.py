@@ -46,6 +46,7 @@ EFFECT: Final = Effect(
         pushing,
     ),
     sentence=sentence,
+    first_needs=2.5,
     same_as={
         "lamp_asymmetry": "a day in the dark or under both lamps, or the pot turned round",
         "camera_roll": "a plumb line in the picture",

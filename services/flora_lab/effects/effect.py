@@ -182,8 +182,9 @@ class Effect:
         exactly: those of them that are the same in every light, to the last digit.
         sentence: what it means, given its values.
         prior: how much more often it is met than another one, before any data.
-        first_needs: nats that it needs besides where it is the first cause: plants to which nothing has happened look a
-            little like it, where they grow by another law than ours.
+        first_needs: nats that it needs besides where it is the first cause, read off healthy plants
+            (docs/results/discovery.md): some look a little like it where they grow by another law than ours. Negative
+            where none ever does.
     """
 
     name: str

@@ -36,4 +36,5 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=-1.2,
 )

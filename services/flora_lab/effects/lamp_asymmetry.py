@@ -36,6 +36,7 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=-1.2,
     same_as={
         "draught": "a day in the dark or under both lamps, or the pot turned round",
         "camera_roll": "a plumb line in the picture",

@@ -34,6 +34,7 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=-1.2,
     same_as={
         "proprioception": "a lamp that shines for a day and longer, beside fast turns",
         "adaptation": "a lamp that shines for a day and longer, beside fast turns",

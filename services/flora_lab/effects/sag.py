@@ -62,4 +62,5 @@ EFFECT: Final = Effect(
     ),
     forms=(act,),
     sentence=sentence,
+    first_needs=2.0,
 )

@@ -44,5 +44,5 @@ EFFECT: Final = Effect(
         bending,
     ),
     sentence=sentence,
-    first_needs=2.0,
+    first_needs=1.0,
 )
