@@ -86,10 +86,10 @@ def test_something_besides_is_weighed_as_a_cause_would_be() -> None:
     answers = [scene.answers(traits, Change()) for scene, traits in zip(scenes, null.traits, strict=True)]
     cause = Cause(BY_NAME["draught"])
     (push,) = cause.parameters
-    nats, size = joint.beside(null, [own.to["bias"].sum(axis=1)[:, None] for own in answers], push.spread)
+    told = joint.beside(null, [own.to["bias"].sum(axis=1)[:, None] for own in answers])
     look = search.best_start(joint, null, cause)
-    assert nats == pytest.approx(look.evidence - null.evidence, abs=0.5)
-    assert size[0] == pytest.approx(look.values()[0]["drive_per_cm_h"], rel=0.1)
+    assert told.nats(push.spread**2 * np.eye(1)) == pytest.approx(look.evidence - null.evidence, abs=0.5)
+    assert told.size(push.spread)[0] == pytest.approx(look.values()[0]["drive_per_cm_h"], rel=0.1)
 
 
 def test_what_is_large_is_fitted_about_its_own_size() -> None:

@@ -15,7 +15,7 @@ from flora_common.arrays import Array
 from flora_lab.simulator.drives import DAY_H
 
 if TYPE_CHECKING:
-    from flora_lab.diagnose.scene import Scene
+    from flora_lab.diagnose.scene import Answers, Scene
 
 
 _OFF_CM: Final = 3.0
@@ -158,6 +158,22 @@ COURSES: Final = (
         for from_h in np.arange(0.0, DAY_H, _SHADOW_EVERY_H)
     ),
 )
+
+SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
+"""How large a push of each drive is looked for, standard deviation."""
+TRIED: Final = tuple((drive, course) for course in COURSES for drive in course.drives)
+"""All pushes."""
+
+
+def pushed_along(scene: Scene, answers: Answers) -> list[Array]:
+    """What a unit of each of :data:`TRIED` does to a run's features, arrays of shape (m, columns of the course).
+
+    Args:
+        scene: the run.
+        answers: of it, about some plant.
+    """
+    at = {drive: moments_of(scene, answers.at_h[drive]) for drive in SIZE}
+    return [answers.to[drive] @ course.of(at[drive]) for drive, course in TRIED]
 
 
 def moments_of(scene: Scene, time_h: Array) -> Moments:

@@ -236,10 +236,10 @@ class Explainer:
                 )
                 own = replace(own, gain=own.gain + max(0.0, slower))
                 tried.insert(0 if own.gain > faster else 1, own)
-        found = Stage(before, tuple(tried), unnamed(joint, before, self.scenes, self._answers))
+        found = Stage(before, tuple(tried), self._unnamed(joint, before))
         if beside is not None and found.tried[0].swing is not None and self._has_no_name(found):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
-            found = replace(found, unnamed=unnamed(*beside, self.scenes, self._answers))
+            found = replace(found, unnamed=self._unnamed(*beside))
         if swing is not None or before.hypothesis.causes:
             return found
         if self._has_no_name(found):
@@ -247,6 +247,9 @@ class Explainer:
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
         return found
+
+    def _unnamed(self, joint: Joint, found: Found) -> Unnamed:
+        return unnamed(joint, found, self.scenes, self._answers, self.known.pushes)
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""

@@ -16,6 +16,7 @@ import scipy.linalg
 
 from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
+from flora_lab.diagnose.linear import Linear
 from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.levenberg_marquardt import descended
@@ -257,20 +258,19 @@ class Joint:
         first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
         return np.concatenate([told, first], axis=1)
 
-    def beside(self, found: Found, pushed: Sequence[Array], sd: float) -> tuple[float, Array]:
-        """Nats for something beside an explanation that pushes features in proportion to its sizes, and these.
+    def beside(self, found: Found, pushed: Sequence[Array]) -> Linear:
+        """What runs tell of something beside an explanation that pushes features in proportion to its sizes.
 
         All is linear about the explanation, whose plants and parameters give way.
 
         Args:
             found: fitted.
             pushed: by a unit of each size, one array of shape (m, sizes) per run.
-            sd: of each size before any data.
         """
         normal, downhill = self._normal(found)
         count, q = len(self.runs), len(found.coordinates)
         sizes = pushed[0].shape[1]
-        information, pull = np.eye(sizes) / sd**2, np.zeros(sizes)
+        information, pull = np.zeros((sizes, sizes)), np.zeros(sizes)
         across = np.zeros((len(normal), sizes))
         for run, (own, along) in enumerate(zip(self.runs, pushed, strict=True)):
             white = own.white(np.concatenate([along, np.zeros((len(own.measured) - len(along), sizes))]))
@@ -278,11 +278,7 @@ class Joint:
             pull += white.T @ found.residuals[run]
             across[self._places(run, count, q)] += found.jacobians[run].T @ white
         gives_way = np.linalg.solve(normal, np.column_stack([across, downhill]))
-        information -= across.T @ gives_way[:, :-1]
-        pull -= across.T @ gives_way[:, -1]
-        size = np.linalg.solve(information, pull)
-        ratio = np.linalg.slogdet(information)[1] + 2.0 * sizes * np.log(sd)
-        return float(0.5 * pull @ size - 0.5 * ratio), size
+        return Linear(information - across.T @ gives_way[:, :-1], pull - across.T @ gives_way[:, -1])
 
     def probability(self, found: Found) -> float:
         """The evidence of a fit beside those of the same runs with other errors by chance: with these errors' size."""

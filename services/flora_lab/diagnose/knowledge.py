@@ -16,6 +16,7 @@ from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
 from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
 from flora_lab.effects.effect import Change
 from flora_lab.effects.law_forms import EVEN_LIGHT, SIDE_ALONE
 from flora_lab.simulator.extended import change_of
@@ -43,6 +44,7 @@ class Knowledge:
         swing_evidence: nats for a swing in each reference run beside the others, shape (runs,).
         residuals: what the base gets wrong about its own runs.
         law: the forms of the law that its plants are under; none where it is as it is written.
+        pushes: what has no name and healthy runs show all the same.
         cross_fit: nats for the best cause in reference runs by what the others tell, shape (folds,); empty where they
             are too few. See :mod:`flora_lab.diagnose.cross_fit`.
     """
@@ -54,6 +56,7 @@ class Knowledge:
     swing_evidence: Array
     residuals: ReferenceResiduals
     law: tuple[Extension, ...] = ()
+    pushes: UsualPushes = field(default_factory=no_pushes)
     cross_fit: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -76,11 +79,13 @@ def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...])
         for scene, own, (shift, besides) in zip(scenes, parts, usual, strict=True)
     ]
     ends = [_on(run, alone, end) for run, end in zip(runs, ends, strict=True)]
+    answers = [scene.answers(end.traits[0], Change()) for scene, end in zip(scenes, ends, strict=True)]
+    pushes = usual_pushes(runs, ends, answers, alone)
     spectra = [spectra_of(scene, end, 0) for scene, end in zip(scenes, ends, strict=True)]
     swings = rhythm.usual([rest for rest, _ in spectra], [moved for _, moved in spectra])
     left = np.stack([blocks(end.residuals[0]) for end in ends])
     shown = reference_residuals(scenes, base, ends)
-    return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law)
+    return Knowledge(base, swings, errors, left, _swing_evidence(spectra), shown, law, pushes)
 
 
 def law_of(

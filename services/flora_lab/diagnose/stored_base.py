@@ -12,10 +12,12 @@ from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, residuals, usual_errors
+from flora_lab.diagnose.courses import TRIED
 from flora_lab.diagnose.joint import TRAITS, Base
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.rhythm import Swings
 from flora_lab.diagnose.usual_errors import UsualErrors
+from flora_lab.diagnose.usual_pushes import COLUMNS, UsualPushes
 from flora_lab.effects import law_forms
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.extended import change_of
@@ -41,8 +43,16 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "error_doubt": (sum(usual_errors.columns()), sum(usual_errors.columns())),
     "left": (None, 2),
     "swing_evidence": (None,),
+    "push_mean": (len(TRIED), COLUMNS),
+    "push_doubt": (len(TRIED), COLUMNS, COLUMNS),
+    "push_scatter": (len(TRIED),),
     "cross_fit": (None,),
 }
+_NAMES: Final[Mapping[str, list[str]]] = {
+    "causes": list(usual_errors.causes()),
+    "pushes": [f"{drive} {course.where}" for drive, course in TRIED],
+}
+"""What rows and columns of these stand for."""
 
 
 def simulator_of(
@@ -96,7 +106,7 @@ def write_known(
         BadInput: something is there already.
     """
     base = known.base
-    told = {"runs": base.runs, "swing_follows": known.swings.follows, "causes": list(usual_errors.causes())}
+    told = {"runs": base.runs, "swing_follows": known.swings.follows, **_NAMES}
     arrays = {
         "spread": base.spread,
         "doubt": base.doubt,
@@ -110,6 +120,9 @@ def write_known(
         "error_doubt": known.errors.doubt,
         "left": known.left,
         "swing_evidence": known.swing_evidence,
+        "push_mean": known.pushes.mean,
+        "push_doubt": known.pushes.doubt,
+        "push_scatter": known.pushes.scatter,
         "cross_fit": known.cross_fit,
     } | {
         _SHOWN + name: np.where(np.isnan(array), _MISSING, array)
@@ -139,10 +152,10 @@ def read_known(stored: Stored) -> Knowledge:
         BadInput: a part is missing or cannot be.
     """
     where = str(stored.path)
-    values = {name: stored.weight(_PREFIX + name, shape).astype(np.float64) for name, shape in _SHAPES.items()}
     told = stored.info.scales["diagnose"]
-    if not isinstance(told, dict) or told.get("causes") != list(usual_errors.causes()):
+    if not isinstance(told, dict) or any(told.get(name) != known for name, known in _NAMES.items()):
         raise BadInput(f"{where}: was made by a version that knows other effects; learn it anew with --reference")
+    values = {name: stored.weight(_PREFIX + name, shape).astype(np.float64) for name, shape in _SHAPES.items()}
     runs, follows = told.get("runs"), told.get("swing_follows")
     if not isinstance(runs, int) or not isinstance(follows, int | float) or runs < 1 or not 0.0 <= follows <= 1.0:
         raise BadInput(f"{where}: scales.diagnose must name `runs` and `swing_follows`")
@@ -165,6 +178,7 @@ def read_known(stored: Stored) -> Knowledge:
         values["swing_evidence"],
         _shown(stored),
         tuple(extension for extension in stored.info.extension if extension.effect in law_forms.BY_NAME),
+        UsualPushes(values["push_mean"], values["push_doubt"], values["push_scatter"]),
         values["cross_fit"],
     )
 

@@ -16,16 +16,14 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
+from flora_lab.diagnose.courses import SIZE, TRIED, Course, Push, pushed_along
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
+from flora_lab.diagnose.usual_pushes import UsualPushes, told_of_all
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
 from flora_lab.simulator.drives import DAY_H
 
-_SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
-"""How large each drive is looked for, standard deviation."""
-_TRIED: Final = tuple((drive, course) for course in COURSES for drive in course.drives)
 _FITTED: Final = 3
 """So many of those that come to most where all is taken for linear are fitted in full."""
 _WORTH_A_FIT: Final = 2.0
@@ -40,14 +38,16 @@ class Unnamed:
     Attributes:
         drive: of the law, see :data:`flora_lab.diagnose.scene.USUAL`.
         course: what it follows.
-        gain: evidence beyond that without it, nats; that so many were tried is taken off.
+        gain: evidence beyond that without it, nats; that so many were tried, and what is usual, is taken off.
         size: of each column of the course, shape (columns,).
+        usual: nats that were taken off since healthy plants show as much.
     """
 
     drive: str
     course: Course
     gain: float
     size: Array
+    usual: float = 0.0
 
     @property
     def evidence(self) -> str:
@@ -79,30 +79,33 @@ def times(nats: float) -> str:
     return f"e^{nats:.0f} times" if nats > 20.0 else f"{np.exp(nats):,.0f} times".replace(",", " ")
 
 
-def unnamed(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> Unnamed:
+def unnamed(
+    joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers], usual: UsualPushes
+) -> Unnamed:
     """What might be at work beside what explains the runs so far, the best.
 
     Args:
         joint: the runs.
         found: the explanation so far, fitted.
         scenes, answers: of each run, about the plants of that fit.
+        usual: what healthy plants show.
     """
-    looks = looked_at(joint, found, scenes, answers)
+    looks = looked_at(joint, found, scenes, answers, usual)
     fits = [fitted(joint, found, look) for look in looks[:_FITTED] if look.gain > _WORTH_A_FIT]
     return max([looks[0], *fits], key=lambda one: one.gain)
 
 
-def looked_at(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> list[Unnamed]:
+def looked_at(
+    joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers], usual: UsualPushes
+) -> list[Unnamed]:
     """All of it where everything is taken for linear about the explanation so far, best first."""
-    at = [
-        {drive: moments_of(scene, own.at_h[drive]) for drive in _SIZE}
-        for scene, own in zip(scenes, answers, strict=True)
-    ]
+    pushed = [pushed_along(scene, own) for scene, own in zip(scenes, answers, strict=True)]
     out = []
-    for drive, course in _TRIED:
-        pushed = [own.to[drive] @ course.of(here[drive]) for own, here in zip(answers, at, strict=True)]
-        nats, size = joint.beside(found, pushed, _SIZE[drive])
-        out.append(Unnamed(drive, course, nats - float(np.log(len(_TRIED))), size))
+    for which, told in enumerate(told_of_all(joint, found, pushed)):
+        drive, course = TRIED[which]
+        sd, as_usual = SIZE[drive], usual.nats(which, told, len(scenes))
+        nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(len(TRIED))) - as_usual
+        out.append(Unnamed(drive, course, nats, told.size(sd), as_usual))
     return sorted(out, key=lambda one: -one.gain)
 
 
@@ -113,12 +116,13 @@ def fitted(joint: Joint, before: Found, look: Unnamed) -> Unnamed:
     start = np.concatenate([before.coordinates, np.clip(look.size, reach[:, 0], reach[:, 1])])
     hypothesis = Hypothesis((*before.hypothesis.causes, cause))
     fit = joint.fit(Found(hypothesis, start, before.traits.copy(), before.start.copy()), _STEPS)
-    return Unnamed(look.drive, look.course, evidence_for_last(before, fit), hypothesis.shares(fit.coordinates)[-1])
+    gain, size = evidence_for_last(before, fit) - look.usual, hypothesis.shares(fit.coordinates)[-1]
+    return Unnamed(look.drive, look.course, gain, size, look.usual)
 
 
 def _effect(look: Unnamed) -> Effect:
     """As a cause with one number for each column of the course."""
-    sd = _SIZE[look.drive]
+    sd = SIZE[look.drive]
     parameters = tuple(
         Parameter(f"size_{column}", 0.0, -2.0 * sd, 2.0 * sd, "linear", "of what has no name", "none")
         for column in range(len(look.size))
@@ -135,5 +139,5 @@ def _effect(look: Unnamed) -> Effect:
         parameters=parameters,
         forms=(act,),
         sentence=lambda _: look.words,
-        prior=1.0 / len(_TRIED),
+        prior=1.0 / len(TRIED),
     )

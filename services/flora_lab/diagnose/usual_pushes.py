@@ -1,0 +1,111 @@
+"""What healthy runs plainly show of what has no name: nothing is wrong with other runs that show it as well.
+
+:mod:`flora_lab.diagnose.usual_errors` knows in which effects of the catalogue the law is wrong. It may be wrong in
+others: plants whose answer to light grows with their lean in every run, say. Each push of a drive along a course
+(:mod:`flora_lab.diagnose.courses`) is therefore weighed in the reference, too, on the mean and with a scatter between
+plants, and where it is plainly there, only what goes beyond it is news.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flora_common.arrays import Array
+from flora_lab.diagnose.courses import SIZE, TRIED, pushed_along
+from flora_lab.diagnose.joint import Base, Found, Joint, Ready
+from flora_lab.diagnose.linear import Linear, together
+from flora_lab.diagnose.scene import Answers
+
+COLUMNS: Final = 2
+"""Of a course, at most."""
+_SCATTER: Final = (0.0, 0.1, 0.2, 0.4, 0.8)
+"""Shares of the size that is looked for, by which plants may differ, that are tried."""
+_LOOKED: Final = float(np.log(len(TRIED)))
+
+
+@dataclass(frozen=True, slots=True)
+class UsualPushes:
+    """By how much healthy plants are pushed, in the order of :data:`flora_lab.diagnose.courses.TRIED`.
+
+    Attributes:
+        mean: shape (pushes, 2); a course of one column has the first. Nothing where nothing is plain.
+        doubt: covariance of the mean, shape (pushes, 2, 2).
+        scatter: standard deviation between plants, shape (pushes,).
+    """
+
+    mean: Array
+    doubt: Array
+    scatter: Array
+
+    def nats(self, which: int, told: Linear, runs: int) -> float:
+        """How much of the evidence for a push in some runs is what healthy ones show as well; not negative.
+
+        Args:
+            which: push.
+            told: of it by the runs.
+            runs: how many.
+        """
+        columns = len(told.pull)
+        covariance = self.doubt[which, :columns, :columns] + self.scatter[which] ** 2 / runs * np.eye(columns)
+        return max(0.0, told.nats(covariance, self.mean[which, :columns]))
+
+
+def no_pushes() -> UsualPushes:
+    """Of plants that the law describes."""
+    count = len(TRIED)
+    return UsualPushes(np.zeros((count, COLUMNS)), np.zeros((count, COLUMNS, COLUMNS)), np.zeros(count))
+
+
+def usual_pushes(runs: Sequence[Ready], fits: Sequence[Found], answers: Sequence[Answers], base: Base) -> UsualPushes:
+    """What reference runs show.
+
+    Args:
+        runs: with all else that happens by chance, and what the law is usually wrong in.
+        fits: of each run by itself.
+        answers: of each run, about that fit.
+        base: that they were fitted with, for single runs.
+    """
+    usual = no_pushes()
+    told: list[list[Linear]] = [[] for _ in TRIED]
+    for run, fit, own in zip(runs, fits, answers, strict=True):
+        for which, one in enumerate(told_of_all(Joint([run], base), fit, [pushed_along(run.scene, own)])):
+            told[which].append(one)
+    for which, (drive, _) in enumerate(TRIED):
+        mean, doubt, scatter = _plain(told[which], SIZE[drive])
+        columns = len(mean)
+        usual.mean[which, :columns], usual.scatter[which] = mean, scatter
+        usual.doubt[which, :columns, :columns] = doubt
+    return usual
+
+
+def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -> list[Linear]:
+    """What runs tell of each push, all others being none.
+
+    Args:
+        joint: the runs.
+        found: their explanation so far, fitted.
+        pushed: by run, see :func:`flora_lab.diagnose.courses.pushed_along`.
+    """
+    ends = np.cumsum([0, *(along.shape[1] for along in pushed[0])])
+    told = joint.beside(found, [np.concatenate(own, axis=1) for own in pushed])
+    return [told.of(slice(begin, end)) for begin, end in itertools.pairwise(ends)]
+
+
+def _plain(told: Sequence[Linear], sd: float) -> tuple[Array, Array, float]:
+    """Mean, covariance of it, and scatter of one push; nothing unless it is likelier than that none of all is there."""
+    one = np.eye(len(told[0].pull))
+    most = _LOOKED
+    best: tuple[Array, Array, float] = np.zeros(len(one)), 0.0 * one, 0.0
+    for scatter in sd * np.array(_SCATTER):
+        apart = sum(own.nats(scatter**2 * one) for own in told)
+        mean = together([own.scattered(scatter) for own in told])
+        if apart > most:
+            most, best = apart, (np.zeros(len(one)), 0.0 * one, float(scatter))
+        if (both := apart + mean.nats(sd**2 * one)) > most:
+            most, best = both, (mean.size(sd), np.linalg.inv(mean.information + one / sd**2), float(scatter))
+    return best
