@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from diagnose_runs import change_of, known, run_of, scenes_of, shorter, turns, warm_course
 
-from flora_lab.diagnose import claims, explain, search
+from flora_lab.diagnose import claims, explain, rhythm, search
 from flora_lab.diagnose.clocks import left_out
 from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
@@ -195,6 +195,18 @@ def test_what_is_too_little_to_be_told_hides_no_cause_with_plain_evidence() -> N
     for best, beside, is_outdone in ((clear, (), True), (clear, (strong,), False), (weak, (strong,), True)):
         stage = Stage(late.stage.before, (best,), nameless)
         assert explainer._is_outdone(stage, beside) == is_outdone
+
+
+@pytest.mark.parametrize(("is_a_swing", "is_told"), [(False, False), (True, True)])
+def test_beside_a_swing_more_is_told_than_beside_a_cause_of_as_much_evidence(is_a_swing: bool, is_told: bool) -> None:
+    """Growth in bursts has sharp edges that swing; what is left in the hours' means is not the swing's."""
+    explainer = Explainer(scenes_of((80,)), known())
+    (late,) = explained("late").accepted
+    swing = rhythm.Swing(2.0, 0.5, 6.0, 4500.0, (1.9, 2.1), (0.4, 0.6)) if is_a_swing else None
+    strong = Accepted(replace(late.tried, gain=4500.0, swing=swing), late.stage)
+    nameless = Unnamed("gain", COURSES[0], 285.0, np.array([-0.3]))
+    stage = Stage(late.stage.before, (replace(late.tried, gain=1.0),), nameless)
+    assert (explainer._beside(stage, (strong,)) is nameless) == is_told
 
 
 @pytest.mark.parametrize(("runs", "is_outdone"), [(1, True), (3, True), (4, True), (9, False)])

@@ -31,8 +31,9 @@ _MOST_OF_FORM: Final = 10.0
 OF_A_SWING: Final = 0.0001
 """The same share of a swing's, which comes to thousands of nats: it drifts, and hourly means keep a little of it."""
 MOST_CAUSES: Final = 3
-BESIDE: Final = 0.15
-"""Share of all evidence for causes that something beside them must come to: no cause is quite what nature does."""
+BESIDE, BESIDE_A_SWING = 0.15, 0.01
+"""Share of all evidence for causes that something beside them must come to: no cause is quite what nature does. A
+swing's evidence is from minutes, and leaves nothing in the hours' means in which anything else shows."""
 _MUCH: Final = 3.0
 """So many times what healthy runs leave is left where the plants themselves were not found."""
 _RESTARTS: Final = 2
@@ -191,7 +192,8 @@ class Explainer:
 
     def _told_from(self, accepted: Sequence[Accepted]) -> float:
         """Nats from which something without a name is told beside causes."""
-        return max(self.claims.nameless, BESIDE * sum(one.tried.gain for one in accepted))
+        shares = (BESIDE if one.tried.swing is None else BESIDE_A_SWING for one in accepted)
+        return max(self.claims.nameless, sum(s * one.tried.gain for s, one in zip(shares, accepted, strict=True)))
 
     def _pruned(self, joint: Joint, found: Found, accepted: list[Accepted]) -> Found:
         """Without the causes that the last one has made worthless; ``accepted`` is changed."""
