@@ -133,6 +133,25 @@ def test_a_stem_that_fades_is_told() -> None:
     assert reading.outcome != OK or tip_error_mm(reading, line) < 10.0
 
 
+def in_noise(upper: float, noise: float, seed: int) -> np.ndarray:
+    """A stem of 9 cm of which the upper half has that share of the lower one's contrast, and noise."""
+    line, picture = upright(9.0), board(1)
+    drawn(picture, line[:21])
+    behind = picture[round(ANCHOR[1] - 7.0 * SCALE), 240].astype(float)
+    tone = tuple(float(v) for v in behind + upper * (np.array(STEM) - behind))
+    drawn(picture, line[20:], tone)  # type: ignore[arg-type]
+    noisy = picture + np.random.default_rng(seed).normal(0.0, noise, picture.shape)
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("upper", "outcome"), [(1.0, OK), (0.35, OCCLUDED)])
+def test_a_stem_that_sinks_into_noise_is_not_taken_for_short(upper: float, outcome: str) -> None:
+    """What is seen of it is as plain as it ever gets; one that is known may be shown so."""
+    reading = tracker().read(in_noise(upper, 30.0, 3), 0.0)
+    assert reading.outcome == outcome
+    assert (tip_error_mm(reading, upright(9.0)) > 30.0) == (outcome == OCCLUDED)
+
+
 def behind_leaf(line: np.ndarray, hidden_cm: float) -> np.ndarray:
     """An upright stem with a leaf before it, from 4 cm of height on."""
     picture = drawn(board(1), line)

@@ -101,15 +101,22 @@ def ends_in_leaf(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
     return ""
 
 
-def fades(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
-    """Why the stem may go on unseen, one clause; empty where nothing says so."""
+def fades(stem: Stem, sampler: Sampler, px_per_cm: float, *, may_be_steady: bool = True) -> str:
+    """Why the stem may go on unseen, one clause; empty where nothing says so.
+
+    Args:
+        stem: found.
+        sampler: of the picture.
+        px_per_cm: of the full picture.
+        may_be_steady: whether one that is as plain before its end as below has not faded, in whatever noise.
+    """
     s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
     to_tip_cm = (s[-1] - s) / px_per_cm
     last, rest = plant[(to_tip_cm > 0.1) & (to_tip_cm < 0.7)], plant[to_tip_cm > 1.0]
     if not last.size:
         return ""
     here, below = float(np.median(last)), float(np.median(rest)) if rest.size else 0.0
-    is_steady = to_tip_cm[0] > STEADY_CM and here > STEADY * below
+    is_steady = may_be_steady and to_tip_cm[0] > STEADY_CM and here > STEADY * below
     if here < FADED_SHARE * below or (here < FADED * sampler.least and not is_steady):
         return "the stem fades before it ends: it looks like what is behind it"
     return ""

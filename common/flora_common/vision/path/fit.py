@@ -236,7 +236,10 @@ class Fitter:
                 unsure = doubts.hides_more(final.line, sight.flat, scale)
         if fit.held:
             unsure = doubts.ANOTHER_PART
-        unsure = doubts.fades(final, sampler, scale) or doubts.ends_in_leaf(final, sampler, scale) or unsure
+        # the lower part of a stem that sinks into noise is as plain as any, up to where it sinks
+        may_be_steady = not is_first or way.sure >= along_way.SURE_IN_NOISE
+        fades = doubts.fades(final, sampler, scale, may_be_steady=may_be_steady)
+        unsure = fades or doubts.ends_in_leaf(final, sampler, scale) or unsure
         if not unsure and not self._is_plain(way, final, sight, sampler, past):
             unsure = "where it ends is not plain to see"
         doubt = doubts.doubt(final, sampler, scale, touching_cm=sight.touching_cm, above_cm=0.0)
