@@ -27,7 +27,7 @@ ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5
 """Where the likeliest apex elsewhere is less likely than the first, the end need be less likely by that power of how
 much, and by the last at most; where it is likelier, and nothing is known from pictures before, by as much likelier."""
 SURE_IN_NOISE: Final = 0.4
-"""The same where nothing is known and the stem hardly stands out of the noise."""
+"""How likely an apex must be where nothing is known and the stem hardly stands out of the noise."""
 SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 """The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
 pictures."""
