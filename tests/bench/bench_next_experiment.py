@@ -35,7 +35,6 @@ from flora_lab.diagnose.explain import Explainer  # noqa: E402
 from flora_lab.diagnose.inputs import read_reference, read_runs  # noqa: E402
 from flora_lab.diagnose.knowledge import Knowledge  # noqa: E402
 from flora_lab.diagnose.next_experiment import candidates_of, next_experiment  # noqa: E402
-from flora_lab.diagnose.verdict import NOTHING_FIRST, SOFTMAX_TEMPERATURE  # noqa: E402
 from flora_lab.effects.catalogue import BY_NAME  # noqa: E402
 
 HARD = (
@@ -49,6 +48,9 @@ HARD = (
     "lamp_ageing",
 )
 DEFAULT, LONG = "6h", "24h"
+TEMPERATURE, NOTHING = 2.0, 3.0
+"""Nats are divided by the first, and no cause is so many times more probable than any: nothing has been claimed here,
+where a diagnosis is surer of what comes first (:data:`flora_lab.diagnose.verdict.FIRST_BELIEF`)."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def probability(explainer: Explainer, effect: str) -> float:
     """Of the true cause, or of one that is exactly the same."""
     stage = explainer.explain().stages[0]
     gains = np.array([tried.gain for tried in stage.tried])
-    weights = scipy.special.softmax(np.append(gains / SOFTMAX_TEMPERATURE, np.log(NOTHING_FIRST)))
+    weights = scipy.special.softmax(np.append(gains / TEMPERATURE, np.log(NOTHING)))
     same = {effect, *BY_NAME[effect].exactly}
     return float(sum(w for w, tried in zip(weights, stage.tried, strict=False) if tried.effect.name in same))
 

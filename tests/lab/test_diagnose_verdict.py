@@ -75,13 +75,21 @@ def test_confidences_are_probabilities(gains: dict[str, float], best: float) -> 
 
 
 def test_more_evidence_is_more_confidence() -> None:
-    sure = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).confidence for gain in (6.0, 12.0, 30.0, 300.0)]
+    sure = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).confidence for gain in (2.0, 12.0, 30.0, 300.0)]
     assert sure == sorted(sure)
     assert sure[0] < 0.9
     assert sure[-1] > 0.99
     p_values = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).p_value for gain in (6.0, 12.0, 30.0)]
     assert p_values == sorted(p_values, reverse=True)
     assert p_values[0] == pytest.approx(2.0 * np.exp(-6.0))
+
+
+def test_of_as_much_evidence_a_later_cause_is_less_sure() -> None:
+    """A first one has come to its claim; of later ones with some nats one in three is there."""
+    whole = explanation_of({"sag": 6.0, "draught": -1.0, "adaptation": -2.0}, found_of("sag", SAGGING))
+    first, later = named(replace(whole, accepted=2 * whole.accepted), NONE_LEFT)
+    assert first.confidence > 0.9
+    assert 0.2 < later.confidence < 0.6
 
 
 def test_a_rival_takes_confidence_as_long_as_it_is_told_apart() -> None:

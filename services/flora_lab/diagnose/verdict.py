@@ -20,9 +20,23 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
 from flora_lab.effects.effect import Effect, Parameter, is_same
 
-SOFTMAX_TEMPERATURE: Final = 2.0
-"""Nats are divided by it: models are never as right as their likelihoods take them to be. Chosen on drawn runs of the
-seeds 1000 to 18999 (``tests/discovery``)."""
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """How confidence comes from evidence.
+
+    Attributes:
+        temperature: nats are divided by it: models are never as right as their likelihoods take them to be.
+        nothing: how many times more probable no cause is than any certain one, before any data.
+    """
+
+    temperature: float
+    nothing: float
+
+
+FIRST_BELIEF, LATER_BELIEF = Belief(1.5, 1.0), Belief(2.5, 10.0)
+"""Of a first cause that has come to its claim, and of others beside it, of which those with a few nats are there in one
+case of three. Read off 693 claims of drawn runs (docs/results/discovery.md)."""
 ALIKE: Final = 4.0
 """Nats within which a cause is not told from a better one."""
 RELATED: Final = 8.0
@@ -31,8 +45,6 @@ INSEPARABLE: Final = 12.0
 """The same for causes that they can never tell apart: what is between them is the shape of a prior; and for related
 ones where the better one would have to be stronger than is plausible."""
 _EXACTLY: Final = 0.6
-NOTHING_FIRST: Final = 3.0
-"""How many times more probable no cause is than any certain one, before any data."""
 WIDER: Final = 1.3
 """Intervals are wider than Laplace's by this, and by :data:`LAW_SHARE` of the effect: the law is not the plant."""
 LAW_SHARE: Final = 0.04
@@ -150,10 +162,10 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
     out: list[NamedCause] = []
     values = dict(zip(found.hypothesis.names(), found.values(), strict=True))
     places = _places(found)
-    for one in explanation.accepted:
+    for place, one in enumerate(explanation.accepted):
         best, stage = one.tried, one.stage
         alike = _alike(stage)
-        sure = _confidence(stage, alike)
+        sure = _confidence(stage, alike, LATER_BELIEF if place else FIRST_BELIEF)
         if left.is_much:
             sure = min(sure, _UNSURE)
         if best.effect.name == SWING:
@@ -233,10 +245,10 @@ def _is_as_good(best: Tried, other: Tried) -> bool:
     return other.found.evidence > best.found.evidence - INSEPARABLE
 
 
-def _confidence(stage: Stage, alike: Sequence[Tried]) -> float:
+def _confidence(stage: Stage, alike: Sequence[Tried], belief: Belief) -> float:
     """Probability of the best cause, or of one that cannot be told from it."""
     gains = np.array([tried.gain for tried in stage.tried])
-    logs = np.append(gains / SOFTMAX_TEMPERATURE, np.log(NOTHING_FIRST))
+    logs = np.append(gains / belief.temperature, np.log(belief.nothing))
     weights = scipy.special.softmax(logs)
     names = {stage.tried[0].effect.name, *(t.effect.name for t in alike)}
     return float(sum(w for w, t in zip(weights, stage.tried, strict=False) if t.effect.name in names))
