@@ -11,8 +11,8 @@ from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, STEM, WIDTH, drawn, tip_er
 
 from flora_common.arrays import FloatArray
 from flora_common.vision.lamp_states import from_background
-from flora_common.vision.path import along_way
-from flora_common.vision.path.chain import best_chain
+from flora_common.vision.path import along_way, doubts
+from flora_common.vision.path.chain import Before, best_chain
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.sampler import Sampler
 from flora_common.vision.path.trace import traced
@@ -176,8 +176,27 @@ def test_a_way_that_leads_far_behind_a_large_leaf_is_doubted_in_a_first_picture(
     sampler = Sampler(one.look(behind_leaf(upright(11.0), 3.2)).evidence)
     way = Way(line_px[-1], 0.5, line_px, np.full(len(line_px), 0.9))
     stem, _ = along_way.stem_along(way, sampler, SCALE)
-    assert along_way.unsure(way, stem, SCALE, is_first=True).startswith("nothing is seen of it")
-    assert not along_way.unsure(way, stem, SCALE, is_first=False)
+    assert along_way.unsure(way, stem, None, SCALE).startswith("nothing is seen of it")
+    assert not along_way.unsure(way, stem, Before(line_px, 1.0), SCALE)
+
+
+@pytest.mark.parametrize(
+    ("leant_cm", "unsure"),
+    [(None, doubts.BEGINS_ASIDE), (0.0, doubts.BEGINS_ASIDE), (1.4, doubts.BEGINS_ASIDE), (2.2, ""), (2.5, "")],
+)
+def test_a_way_that_goes_level_to_another_foot_is_doubted_where_the_stem_has_not_leant_there(
+    leant_cm: float | None, unsure: str
+) -> None:
+    one = tracker()
+    line = np.concatenate([np.linspace([0.0, 0.0], [2.5, 0.6], 20), np.linspace([2.5, 0.6], [2.7, 8.0], 40)[1:]])
+    line_px = np.array(ANCHOR) + line * np.array([SCALE, -SCALE])
+    way = Way(line_px[-1], 0.5, line_px, np.full(len(line_px), 0.9))
+    stem, _ = along_way.stem_along(way, Sampler(one.look(drawn(board(1), line)).evidence), SCALE)
+    known = None
+    if leant_cm is not None:
+        leant = np.concatenate([np.linspace([0.0, 0.0], [leant_cm, 0.6], 20), [[leant_cm + 0.2, 8.0]]])
+        known = Before(np.array(ANCHOR) + leant * np.array([SCALE, -SCALE]), 1.0)
+    assert along_way.unsure(way, stem, known, SCALE) == unsure
 
 
 def test_a_stem_that_was_seen_before_is_known_behind_a_large_leaf() -> None:

@@ -42,6 +42,8 @@ that go on for 0.7 cm in 98 of a hundred, for some young leaves lie in line with
 AGREES_CM: Final = 0.5
 LEAVES_OVER_CM: Final = 2.5
 """A way that goes level to another plant's foot does so over this, from the anchor."""
+LEANT_CM: Final = 0.7
+"""A stem leans over no faster than this from picture to picture."""
 LEAST_ALONG: Final = 0.1
 """What is less likely the stem's middle shows no stem."""
 WAY_ERROR_CM: Final = 0.08
@@ -149,30 +151,37 @@ def _is_far_on(rest_px: FloatArray, px_per_cm: float) -> bool:
     return float(arc_length(rest_px)[-1]) >= GOES_ON_CM * px_per_cm
 
 
-def unsure(way: Way, stem: Stem, px_per_cm: float, *, is_first: bool) -> str:
+def unsure(way: Way, stem: Stem, before: Before | None, px_per_cm: float) -> str:
     """Why the way may lead to another plant; empty where nothing says so.
 
     Args:
         way: that was chosen.
         stem: measured along that way.
+        before: what is known from pictures before.
         px_per_cm: scale.
-        is_first: nothing is known from pictures before.
     """
     seen = way.line_px[_along(way) >= LEAST_ALONG]
     if len(seen) and doubts.is_aside(seen[0] - way.line_px[0], px_per_cm):
         return doubts.BEGINS_ASIDE
-    if not is_first:
-        return ""
-    if goes_aside(way, px_per_cm):
+    if goes_aside(way, px_per_cm, before.line_px if before is not None else None):
         return doubts.BEGINS_ASIDE
+    if before is not None:
+        return ""
     unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
     return doubts.unseen(unseen_cm) if unseen_cm > doubts.LONGEST_UNSEEN_CM else ""
 
 
-def goes_aside(way: Way, px_per_cm: float) -> bool:
-    """Whether a way leads level over to what stands beside the anchor, which is another plant's."""
-    low = way.line_px[arc_length(way.line_px) < LEAVES_OVER_CM * px_per_cm] - way.line_px[0]
-    return any(doubts.is_aside(place, px_per_cm) for place in low)
+def goes_aside(way: Way, px_per_cm: float, known_px: FloatArray | None = None) -> bool:
+    """Whether a way leads level over to what stands beside the anchor, which is another plant's.
+
+    Args:
+        way: from the anchor.
+        px_per_cm: scale.
+        known_px: the stem in the picture before; where that has leant over, a way may, too.
+    """
+    low = way.line_px[arc_length(way.line_px) < LEAVES_OVER_CM * px_per_cm]
+    aside = [place for place in low if doubts.is_aside(place - way.line_px[0], px_per_cm)]
+    return any(known_px is None or _nearest(place, known_px, LEANT_CM * px_per_cm) is None for place in aside)
 
 
 def agrees(way: Way, stem: Stem, px_per_cm: float) -> bool:

@@ -222,7 +222,7 @@ class Fitter:
         self, way: Way, fit: Fit, final: Stem, sight: Sight, sampler: Sampler, past: Past, rivals: Rivals
     ) -> Judged:
         scale, is_first = self._scale, past.before is None
-        unsure = along_way.unsure(way, fit.reached, scale, is_first=is_first)
+        unsure = along_way.unsure(way, fit.reached, past.before, scale)
         if rivals.are_strong:
             unsure = unsure or doubts.ANOTHER_PART
         if is_first and not unsure:
