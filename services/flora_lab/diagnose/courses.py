@@ -163,6 +163,8 @@ SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
 """How large a push of each drive is looked for, standard deviation."""
 TRIED: Final = tuple((drive, course) for course in COURSES for drive in course.drives)
 """All pushes."""
+LOOKED: Final = float(np.log(len(TRIED)))
+"""The price of having looked at so many, in nats."""
 
 
 def pushed_along(scene: Scene, answers: Answers) -> list[Array]:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import SIZE, TRIED, Course, Push, pushed_along
+from flora_lab.diagnose.courses import LOOKED, SIZE, TRIED, Course, Push, pushed_along
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
@@ -104,7 +104,7 @@ def looked_at(
     for which, told in enumerate(told_of_all(joint, found, pushed)):
         drive, course = TRIED[which]
         sd, as_usual = SIZE[drive], usual.nats(which, told, len(scenes))
-        nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(len(TRIED))) - as_usual
+        nats = told.nats(sd**2 * np.eye(len(told.pull))) - LOOKED - as_usual
         out.append(Unnamed(drive, course, nats, told.size(sd), as_usual))
     return sorted(out, key=lambda one: -one.gain)
 

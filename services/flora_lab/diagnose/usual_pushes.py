@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import SIZE, TRIED, pushed_along
+from flora_lab.diagnose.courses import LOOKED, SIZE, TRIED, pushed_along
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready
 from flora_lab.diagnose.linear import Linear, together
 from flora_lab.diagnose.scene import Answers
@@ -25,7 +25,6 @@ COLUMNS: Final = 2
 """Of a course, at most."""
 _SCATTER: Final = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Shares of the size that is looked for, by which plants may differ, that are tried."""
-_LOOKED: Final = float(np.log(len(TRIED)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +98,7 @@ def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -
 def _plain(told: Sequence[Linear], sd: float) -> tuple[Array, Array, float]:
     """Mean, covariance of it, and scatter of one push; nothing unless it is likelier than that none of all is there."""
     one = np.eye(len(told[0].pull))
-    most = _LOOKED
+    most = LOOKED
     best: tuple[Array, Array, float] = np.zeros(len(one)), 0.0 * one, 0.0
     for scatter in sd * np.array(_SCATTER):
         apart = sum(own.nats(scatter**2 * one) for own in told)
