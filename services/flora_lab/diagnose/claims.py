@@ -15,7 +15,8 @@ _DOUBT: Final = 8.0
 _FOUND_IN_HEALTHY: Final = 1.0
 """Nats that are needed besides, for each that healthy runs show for a cause, in the median of the folds, beyond
 :data:`_BY_CHANCE`; and at most."""
-_BY_CHANCE: Final = 0.5
+_BY_CHANCE: Final = 1.5
+"""As much healthy runs of the law's own physics show in each other, and it tells nothing of what others will."""
 _MOST_DOUBT: Final = 4.0
 NAMELESS: Final = 14.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
