@@ -11,10 +11,11 @@ CLUSTER_VENV := .venv-cluster
 SPEED  ?= lockstep
 SCALE  ?= small
 CASES  ?= 400
+DRAWN  ?= 26
 PER_WORLD ?= 5
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training bench-controllers discovery paper guide pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery discovery-gain paper guide pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z0-9-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -88,7 +89,7 @@ kill-uploader: setup  ## kill the uploader at every system call of a transfer
 	@FLORA_KILL_ALL=1 $(BIN)/python -m pytest -s tests/rig/test_uploader_kill.py
 
 bench: setup  ## the benchmarks: latency, throughput, memory, idle load
-	@for file in $(filter-out %/bench_controller_gain.py,$(sort $(wildcard tests/bench/bench_*.py))); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in $(sort $(wildcard tests/bench/bench_*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 bench-vision: setup $(BENCH_VENV)/.made  ## stem finders against known truth, PlantCV and scikit-image too (BENCH='--full --json FILE --pictures DIR')
 	@$(BIN)/python tests/bench/bench_vision.py $(BENCH)
@@ -109,11 +110,11 @@ $(KERAS_VENV)/.made: tests/bench/training/requirements.txt
 	@$(KERAS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
 
-bench-controllers: setup  ## what naming an effect is worth to controllers; twenty minutes (BENCH='--effects sag --kinds plan --json FILE')
-	@$(BIN)/python tests/bench/bench_controller_gain.py $(BENCH)
-
 discovery: setup  ## hide effects in drawn runs, see whether they are named, print the table (CASES=400 FIRST=60 SEED=1 JOBS=2 PER_WORLD=5 ONLY=sag,draught)
 	@$(BIN)/python -m tests.discovery.cases --cases $(CASES) --seed $(SEED) --jobs $(JOBS) --per-world $(PER_WORLD) $(if $(FIRST),--first $(FIRST)) $(if $(ONLY),--effects $(ONLY)) --results out/discovery/$(SEED)-$(CASES).jsonl --markdown out/discovery/$(SEED)-$(CASES).md
+
+discovery-gain: setup  ## what naming hidden effects is worth to controllers; an hour (DRAWN=26 SEED=1 KINDS='feedback plan' ORACLE=1)
+	@$(BIN)/python -m tests.discovery.controllers --cases $(DRAWN) --seed $(SEED) $(if $(KINDS),--kinds $(KINDS)) $(if $(ORACLE),--oracle) --results out/discovery/controllers-$(SEED)-$(DRAWN).jsonl --markdown out/discovery/controllers-$(SEED)-$(DRAWN).md
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper

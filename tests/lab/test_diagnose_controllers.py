@@ -17,7 +17,7 @@ from evolve_simulators import mechanistic
 from html_reader import Reader
 
 from flora_lab.diagnose import controllers, controllers_told, figures, figures_of_runs, folder, table, work
-from flora_lab.diagnose.controller_gain import Effort, controller_gain
+from flora_lab.diagnose.controller_gain import Effort, bred, controller_gain
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.figures_of_controllers import controllers as drawn
 from flora_lab.diagnose.page import page
@@ -92,7 +92,7 @@ def test_both_kinds_are_compared_on_plants_with_what_was_found() -> None:
             assert np.mean(told[name]["of_plants"]) == pytest.approx(told[name]["mean"], abs=1e-4)
             assert min(told[name]["of_plants"]) == told[name]["worst_plant"]
         plant = base.extended([EXTENSION])
-        alone = controller_gain(SHORT, base, plant, plant, kind, LITTLE)  # type: ignore[arg-type]
+        alone = controller_gain(bred(SHORT, base, kind, LITTLE), bred(SHORT, plant, kind, LITTLE), plant)  # type: ignore[arg-type]
         assert told == alone | {"judged_on": told["judged_on"]}
         assert "2 evolutions in the simulator as it is and 2 in the extended one" in told["judged_on"]
         assert "the same 3 plants" in told["judged_on"]
@@ -106,7 +106,8 @@ def test_a_light_plan_is_made_for_one_scenario() -> None:
     fitness = compared(result(EXTENSION), least, task)[0]
     plant = mechanistic().extended([EXTENSION])
     for kind, own in (("feedback", task), ("plan", replace(task, scenarios=LEFT.scenarios[3:]))):
-        alone = controller_gain(own, mechanistic(), plant, plant, kind, least)  # type: ignore[arg-type]
+        in_both = [bred(own, one, kind, least) for one in (mechanistic(), plant)]  # type: ignore[arg-type]
+        alone = controller_gain(*in_both, plant)
         assert fitness[kind]["extended"] == alone["extended"]
     assert "Light plans are made for its scenario fourth alone." in fitness["plan"]["judged_on"]
     assert "Light plans are made" not in filled()["plan"]["judged_on"]

@@ -13,7 +13,7 @@ from evolve_simulators import mechanistic
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import boosting, light_plans
-from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
+from flora_lab.diagnose.controller_gain import Effort, Kind, bred, controller_gain
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Accepted, Explanation
@@ -198,8 +198,9 @@ def test_controllers_of_both_simulators_meet_the_same_plants(kind: Kind) -> None
     base = mechanistic()
     evolved: list[None] = []
     plant = base.extended([Extension("sag", {"amplitude": 0.7})])
-    told = controller_gain(SHORT, base, base, plant, kind, LITTLE, on_evolved=lambda: evolved.append(None))
+    twice = [bred(SHORT, base, kind, LITTLE, on_evolved=lambda: evolved.append(None)) for _ in range(2)]
     assert len(evolved) == 4
+    told = controller_gain(*twice, plant)
     assert told["base"] == told["extended"]  # evolved alike, judged alike
     assert told["difference"] == {"mean": 0.0, "standard_error": 0.0}
     assert told["base"]["worst_plant"] <= told["base"]["mean"] <= 1.0
@@ -211,7 +212,8 @@ def test_controllers_of_both_simulators_meet_the_same_plants(kind: Kind) -> None
 
 def test_a_plant_that_has_no_effect_costs_nothing() -> None:
     base = mechanistic()
-    told = controller_gain(SHORT, base, base, base, "plan", LITTLE, oracle=True)
+    in_base = bred(SHORT, base, "plan", LITTLE)
+    told = controller_gain(in_base, in_base, base, oracle=in_base)
     assert told["cost"]["mean"] == 0.0
     assert told["recovered"] is None
     assert told["oracle"] == told["base"]

@@ -34,6 +34,8 @@ SHORT_LIST: Final = 10
 """Controllers of the last generation that are tried on further plants of their own simulator; the best one is taken."""
 _TRAINED, _CHOSEN, _JUDGED = 101, 202, 303
 """Seeds of plants: those of evolution, of the choice, and those that judge."""
+_OnPlants = Callable[[Simulator[Any], Individuals], tuple[Array, Array]]
+"""A simulator's plants to fitness and collisions, each of shape (plants,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,27 +83,47 @@ class Judged:
         }
 
 
-def controller_gain(
-    task: Task,
-    base: Simulator[Any],
-    extended: Simulator[Any],
-    plant: Simulator[Any],
-    kind: Kind,
-    effort: Effort,
-    *,
-    oracle: bool = False,
-    on_evolved: Callable[[], None] = lambda: None,
-) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Bred:
+    """The best controller of each of several evolutions in one simulator.
+
+    Attributes:
+        simulator: that they were evolved in.
+        task, kind: what they are to do, and what they are.
+        controllers: in the order of the seeds.
+        judges: plants that decide.
+    """
+
+    simulator: Simulator[Any]
+    task: Task
+    kind: Kind
+    controllers: tuple[_OnPlants, ...]
+    judges: Individuals
+
+    def on(self, plant: Simulator[Any]) -> Judged:
+        """All of them on the same plants of a simulator."""
+        rows = [found(plant, self.judges) for found in self.controllers]
+        return Judged(np.stack([fitness for fitness, _ in rows]), np.stack([hit for _, hit in rows]))
+
+
+def bred(
+    task: Task, simulator: Simulator[Any], kind: Kind, effort: Effort, on_evolved: Callable[[], None] = lambda: None
+) -> Bred:
+    """Evolve controllers in a simulator; ``on_evolved`` is called after each evolution."""
+    found = []
+    for number in range(effort.seeds):
+        found.append(_evolved(kind, task, simulator, effort, number))
+        on_evolved()
+    return Bred(simulator, task, kind, tuple(found), Individuals(effort.judges, _JUDGED))
+
+
+def controller_gain(base: Bred, extended: Bred, plant: Simulator[Any], oracle: Bred | None = None) -> dict[str, Any]:
     """Fitness and collisions on the plant with the effect, by the simulator that controllers were evolved in.
 
     Args:
-        task: what they are to do.
-        base, extended: simulators without and with the causes that were found.
+        base, extended: evolved without and with the causes that were found.
         plant: stands for the plant as it is: a simulator with the effect.
-        kind: of controllers.
-        effort: how much is done.
-        oracle: evolve in ``plant`` as well: as good as it gets.
-        on_evolved: called after each evolution.
+        oracle: evolved in ``plant`` itself: as good as it gets.
 
     Returns:
         ``base`` and ``extended`` (and ``oracle``), each a table of numbers; ``without_effect``, what the base's
@@ -109,26 +131,15 @@ def controller_gain(
         costs these; ``difference``, the same of extended minus base, plant by plant; ``recovered``, the share of the
         cost that the extension brings back, or None where the cost is lost in the scatter of evolution.
     """
-    in_which = {"base": base, "extended": extended} | ({"oracle": plant} if oracle else {})
-    judged: dict[str, Judged] = {}
-    at_home: list[tuple[Array, Array]] = []
-    judges = Individuals(effort.judges, _JUDGED)
-    for name, simulator in in_which.items():
-        rows = []
-        for number in range(effort.seeds):
-            found = _evolved(kind, task, simulator, effort, number)
-            rows.append(found(plant, judges))
-            if name == "base":
-                at_home.append(found(base, judges))
-            on_evolved()
-        judged[name] = _stacked(rows)
-    home = _stacked(at_home)
+    by_whom = {"base": base, "extended": extended} | ({} if oracle is None else {"oracle": oracle})
+    judged = {name: one.on(plant) for name, one in by_whom.items()}
+    home = base.on(base.simulator)
     apart = judged["extended"].fitness.mean(axis=1) - judged["base"].fitness.mean(axis=1)
     cost = home.fitness.mean(axis=1) - judged["base"].fitness.mean(axis=1)
     is_sure = cost.mean() > SURE_ERRORS * _standard_error(cost)
     return {
-        "task": task.name,
-        "kind": kind,
+        "task": base.task.name,
+        "kind": base.kind,
         **{name: own.told() for name, own in judged.items()},
         "without_effect": home.told(),
         "cost": _with_error(cost),
@@ -144,14 +155,6 @@ def _with_error(values: Array) -> dict[str, float]:
 def _standard_error(values: Array) -> float:
     """Of the mean over seeds; 0 where there is one."""
     return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-
-
-_OnPlants = Callable[[Simulator[Any], Individuals], tuple[Array, Array]]
-"""A simulator's plants to fitness and collisions, each of shape (plants,)."""
-
-
-def _stacked(rows: list[tuple[Array, Array]]) -> Judged:
-    return Judged(np.stack([fitness for fitness, _ in rows]), np.stack([hit for _, hit in rows]))
 
 
 def _evolved(kind: Kind, task: Task, simulator: Simulator[Any], effort: Effort, number: int) -> _OnPlants:

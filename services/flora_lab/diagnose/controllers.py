@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from flora_lab.diagnose.controller_gain import Effort, Kind, controller_gain
+from flora_lab.diagnose.controller_gain import Effort, Kind, bred, controller_gain
 from flora_lab.diagnose.controllers_told import for_plans, judged_on
 from flora_lab.diagnose.work import OnStage, Result
 from flora_lab.evolve.task import Task
@@ -49,7 +49,8 @@ def compared(
     fitness = {}
     for kind, name in _STAGES.items():
         step = stage(name, 2 * effort.seeds)
-        told = controller_gain(tasks[kind], base, extended, extended, kind, effort, on_evolved=step)
+        in_base, in_extended = (bred(tasks[kind], one, kind, effort, step) for one in (base, extended))
+        told = controller_gain(in_base, in_extended, extended)
         fitness[kind] = told | {"judged_on": words}
     gain = msgspec.structs.replace(result.diagnosis.gain, controller_fitness=fitness)
     return replace(result, diagnosis=msgspec.structs.replace(result.diagnosis, gain=gain))
