@@ -38,6 +38,9 @@ SIGN_FREE = frozenset({"angle_deg", "offset_h", "per_hour"})
 OWN_UNIT = frozenset({("sag", "amplitude")})
 """Parameters whose unit belongs to the model that has them."""
 
+SIMULATORS = ("base", "extended", "boosted", "still")
+"""Whose errors a diagnosis tells."""
+
 Json = Mapping[str, Any]
 
 
@@ -261,14 +264,17 @@ class GainShare:
     cases: int
 
 
-def gain_share(outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_base: bool = False) -> GainShare:
+def gain_share(
+    outcomes: Sequence[Outcome], whose: str = "typical", *, by: str = "extended", from_one_base: bool = False
+) -> GainShare:
     """Gain of the claims and of the oracle, both root mean squares of the tip's distance, in mm.
 
-    A diagnosis takes part where it is right and ``gain.free_running.end`` gives ``base_rms`` and ``extended_rms``.
+    A diagnosis takes part where it is right and ``gain.free_running.end`` gives both errors.
 
     Args:
         outcomes: of the cases.
         whose: plant of the oracle's.
+        by: simulator that gains.
         from_one_base: the oracle begins at the error of the base that the diagnosis extends, which was learned from
             few plants, and not at that of the true typical plant without the effect.
     """
@@ -278,12 +284,29 @@ def gain_share(outcomes: Sequence[Outcome], whose: str = "typical", *, from_one_
         oracle = outcome.truth.get("oracle", {}).get(whose, {}).get("end")
         if not outcome.right or not isinstance(end, Mapping) or oracle is None:
             continue
-        base, extended = (end.get(f"{name}_rms") for name in ("base", "extended"))
-        if base is None or extended is None:
+        base, better = (end.get(f"{name}_rms") for name in ("base", by))
+        if base is None or better is None:
             continue
         begin = float(base) if from_one_base else oracle["base_mm"]
-        gains.append((float(base) - float(extended), begin - oracle["extended_mm"]))
+        gains.append((float(base) - float(better), begin - oracle["extended_mm"]))
     return _pooled(gains)
+
+
+def held_out_errors(outcomes: Sequence[Outcome]) -> dict[str, dict[str, tuple[float, ...]]]:
+    """Errors of the tip on runs that no fit has seen, root mean squares in mm, of each right diagnosis that tells them.
+
+    Returns:
+        Horizon (``one step``, ``1h``, ...) to simulator to the error of each case.
+    """
+    found: dict[str, dict[str, list[float]]] = {}
+    for outcome in outcomes:
+        gain = (outcome.diagnosis or {}).get("gain", {})
+        told = {"one step": gain.get("one_step", {}), **gain.get("free_running", {})} if outcome.right else {}
+        for horizon, errors in told.items():
+            if all(f"{name}_rms" in errors for name in SIMULATORS):
+                for name in SIMULATORS:
+                    found.setdefault(horizon, {}).setdefault(name, []).append(float(errors[f"{name}_rms"]))
+    return {horizon: {name: tuple(values) for name, values in own.items()} for horizon, own in found.items()}
 
 
 def named_share(outcomes: Sequence[Outcome]) -> GainShare:

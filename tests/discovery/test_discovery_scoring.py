@@ -16,6 +16,7 @@ from discovery.scoring import (
     calibration_error_by_chance,
     confusion,
     gain_share,
+    held_out_errors,
     named_share,
     parameter_errors,
     share,
@@ -158,6 +159,24 @@ def test_gain_is_pooled_over_right_claims() -> None:
     nothing = gain_share([outcome("single", SAG, "explained", cause("sag"))])
     assert math.isnan(nothing.value)
     assert nothing.cases == 0
+
+
+def test_errors_on_held_out_runs_are_those_of_right_names() -> None:
+    def told(extended: float, boosted: float, effect: str = "sag") -> Outcome:
+        end = {"base_rms": 10.0, "extended_rms": extended, "boosted_rms": boosted, "still_rms": 90.0}
+        step = {name: value / 10.0 for name, value in end.items()}
+        gain = {"one_step": step, "free_running": {"end": end, "1h": {"base_rms": 1.0}}}
+        return outcome("single", SAG, "explained", cause(effect), gain=gain)
+
+    some = [told(6.0, 16.0), told(8.0, 7.0), told(0.0, 0.0, "draught")]
+    assert gain_share(some, by="boosted").value == pytest.approx(-3.0 / 8.0)
+    errors = held_out_errors(some)
+    assert set(errors) == {"one step", "end"}
+    assert errors["end"]["extended"] == (6.0, 8.0)
+    assert errors["one step"]["boosted"] == (1.6, 0.7)
+    (table,) = [table for table in all_tables(some) if table.title.startswith("Tip on held-out runs")]
+    assert table.rows[1] == ("end", "10.0", "7.0", "11.5", "90.0", "50 % (9-91), 1 of 2")
+    assert cells(some, "gain at the end of gradient boosting, share of the oracle's")[0].startswith("-0.38 (")
 
 
 def test_what_was_named_is_weighed_about_the_own_plants() -> None:
