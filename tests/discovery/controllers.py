@@ -1,4 +1,4 @@
-"""What naming hidden effects is worth to controllers: ``python -m tests.discovery.controllers --cases 25 --seed 1``.
+"""What naming hidden effects is worth to controllers: ``python -m tests.discovery.controllers --cases 26 --seed 1``.
 
 Cases that hide one effect in the plant are drawn, written and diagnosed as in :mod:`.cases`. Controllers that see the
 stem, and light plans that see nothing, are then evolved in the base simulator and in the extended one, and run on the
@@ -34,8 +34,9 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import Extension
 
 from .cases import read_results
-from .judging import BASE, FINDER_SAG_PER_CM3, Finder, claims, judge_world
+from .judging import FINDER_SAG_PER_CM3, Finder, base_of, claims, judge_world
 from .plans import Plan, by_world, plans
+from .scoring import pooled
 from .tables import Table, as_markdown, as_text
 from .worlds.effects import SAG_PER_CM3
 
@@ -56,9 +57,9 @@ ACTING = (
 )
 """Effects on what a plant does."""
 EXTENDED = "extended.simulator"
+COMPARED = ("without_effect", "base", "extended")
 TASKS: dict[Kind, Task] = {"feedback": ROUND, "plan": for_plans(ROUND)}
 """What ``flora-lab diagnose --controllers round`` evolves."""
-DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def judge_controllers(world: Sequence[Plan], scratch: Path, setting: Setting) ->
         line = {"key": plan.key, "truth": entry["truth"], "error": entry["error"], "controllers": None}
         if not entry["error"]:
             if base is None:
-                base = _loaded(kept / f"{plan.form}-{plan.seed}" / BASE)
+                base = _loaded(base_of(plan, kept))
                 in_base = {kind: bred(TASKS[kind], base, kind, setting.effort) for kind in setting.kinds}
             plant = base.extended([true_extension(effect) for effect in entry["truth"]["effects"]])
             extended = _loaded(folder / EXTENDED) if (folder / EXTENDED).is_dir() else base
@@ -131,21 +132,6 @@ def _gain(in_base: Bred, extended: RodSimulator, plant: RodSimulator, setting: S
     return controller_gain(in_base, in_extended, plant, of(plant) if setting.oracle else None)
 
 
-def pooled(costs: Sequence[float], brought: Sequence[float]) -> tuple[float, float, float]:
-    """Share of all cost that comes back, and its interval of 95 % if the cases are drawn again.
-
-    Args:
-        costs: of each case, in fitness.
-        brought: what comes back in each.
-    """
-    cost, back = np.array(costs), np.array(brought)
-    picks = np.random.default_rng(1).integers(len(cost), size=(DRAWS, len(cost)))
-    sums = cost[picks].sum(axis=1)
-    shares = back[picks].sum(axis=1)[sums > 0.0] / sums[sums > 0.0]
-    low, high = np.quantile(shares, (0.025, 0.975)) if len(shares) else (np.nan, np.nan)
-    return float(back.sum() / cost.sum()), float(low), float(high)
-
-
 def tables(lines: Sequence[Mapping[str, Any]], kinds: Sequence[Kind]) -> list[Table]:
     """What all cases together say, and each case."""
     done = [line for line in lines if line["controllers"] is not None]
@@ -154,22 +140,20 @@ def tables(lines: Sequence[Mapping[str, Any]], kinds: Sequence[Kind]) -> list[Ta
         told = [line["controllers"][kind] for line in done]
         if not told:
             continue
-        costs, brought = ([one[part]["mean"] for one in told] for part in ("cost", "difference"))
-        share, low, high = pooled(costs, brought)
         summary.append(
             (
                 kind,
                 str(len(told)),
-                *(_mean(told, name) for name in ("without_effect", "base", "extended")),
-                _mean(told, "oracle") if all("oracle" in one for one in told) else "-",
-                f"{share:.2f} ({low:.2f} to {high:.2f})",
+                *(_cell(*(one[name] for one in told)) for name in COMPARED),
+                _cell(*(one["oracle"] for one in told)) if all("oracle" in one for one in told) else "-",
+                str(pooled([(one["difference"]["mean"], one["cost"]["mean"]) for one in told])),
                 ">= 0.50",
             )
         )
     for line in sorted(done, key=lambda one: str(one["truth"]["effects"])):
         hidden = line["truth"]["effects"][0]
         strength = ", ".join(f"{name} {value:.3g}" for name, value in hidden["parameters"].items())
-        cells = (cell for kind in kinds for cell in _cells(line["controllers"][kind]))
+        cells = (_cell(line["controllers"][kind][name]) for kind in kinds for name in COMPARED)
         each.append((hidden["effect"], strength, ", ".join(line["named"]) or "-", *cells))
     header = ("controllers", "cases", "without effect", "base's", "extended's", "true plant's", "comes back", "aim")
     per_kind = tuple(f"{kind}: {name}" for kind in kinds for name in ("without effect", "base's", "extended's"))
@@ -179,21 +163,14 @@ def tables(lines: Sequence[Mapping[str, Any]], kinds: Sequence[Kind]) -> list[Ta
     ]
 
 
-def _mean(told: Sequence[Mapping[str, Any]], name: str) -> str:
-    fitness, collisions = (np.mean([one[name][part] for one in told]) for part in ("mean", "collisions"))
+def _cell(*told: Mapping[str, float]) -> str:
+    fitness, collisions = (np.mean([one[part] for one in told]) for part in ("mean", "collisions"))
     return f"{fitness:.3f} ({100 * collisions:.0f} %)"
-
-
-def _cells(told: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{told[name]['mean']:.3f} ({100 * told[name]['collisions']:.0f} %)"
-        for name in ("without_effect", "base", "extended")
-    ]
 
 
 def run_all(wanted: Sequence[Plan], results: Path, setting: Setting) -> list[Mapping[str, Any]]:
     """Judge all cases that the results file does not have; returns the lines of all."""
-    done = read_results(results) if results.is_file() else {}
+    done = read_results(results)
     left = [plan for plan in wanted if not is_judged(done.get(plan.key), setting)]
     print(f"{len(wanted)} cases, {len(wanted) - len(left)} of them in {results}", flush=True)
     results.parent.mkdir(parents=True, exist_ok=True)
@@ -228,7 +205,7 @@ def _said(line: Mapping[str, Any]) -> str:
 
 def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="discovery-gain", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--cases", type=int, default=25)
+    parser.add_argument("--cases", type=int, default=26)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--per-world", type=int, default=5, help="so many cases share their reference runs")
     parser.add_argument("--kinds", nargs="+", choices=list(TASKS), default=list(TASKS))

@@ -55,6 +55,11 @@ def drawn(plan: Plan) -> Case:
     return draw_case(plan.seed, plan.form, plan.kind, plan.runs, effect=plan.effect, number=plan.number)
 
 
+def base_of(plan: Plan, kept: Path) -> Path:
+    """Where in a folder it is kept what was learned from the reference runs of a case."""
+    return kept / f"{plan.form}-{plan.seed}" / BASE
+
+
 def judge_world(world: Sequence[Plan], cases: Path, kept: Path, finder: Finder) -> Iterator[dict[str, Any]]:
     """Judge cases that have the same reference runs: what was learned from these in one serves those after it.
 
@@ -75,7 +80,7 @@ def judge_world(world: Sequence[Plan], cases: Path, kept: Path, finder: Finder) 
         entry = judge(plan, folder, finder, base)
         learned = folder / "diagnosis" / BASE
         if base is None and learned.is_dir():
-            base = Path(shutil.copytree(learned, kept / f"{plan.form}-{plan.seed}" / BASE))
+            base = Path(shutil.copytree(learned, base_of(plan, kept)))
         yield entry
 
 

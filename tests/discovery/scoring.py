@@ -250,7 +250,7 @@ def _calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class GainShare:
-    """What the claims gained at the run's end, as a share of what the oracle gains, pooled.
+    """What was gained as a share of what could have been, pooled over cases.
 
     Attributes:
         value: nan where there is nothing to gain.
@@ -262,6 +262,9 @@ class GainShare:
     low: float
     high: float
     cases: int
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
 
 
 def gain_share(
@@ -289,7 +292,7 @@ def gain_share(
             continue
         begin = float(base) if from_one_base else oracle["base_mm"]
         gains.append((float(base) - float(better), begin - oracle["extended_mm"]))
-    return _pooled(gains)
+    return pooled(gains)
 
 
 def held_out_errors(outcomes: Sequence[Outcome]) -> dict[str, dict[str, tuple[float, ...]]]:
@@ -320,10 +323,10 @@ def named_share(outcomes: Sequence[Outcome]) -> GainShare:
         own = outcome.truth.get("oracle", {}).get("own", {}).get("end")
         if outcome.kind in {"single", "pair"} and outcome.named_mm is not None and own is not None:
             gains.append((own["base_mm"] - outcome.named_mm["end"], own["base_mm"] - own["extended_mm"]))
-    return _pooled(gains)
+    return pooled(gains)
 
 
-def _pooled(gains: Sequence[tuple[float, float]]) -> GainShare:
+def pooled(gains: Sequence[tuple[float, float]]) -> GainShare:
     """Sums of what was gained and of what could have been, one by the other."""
     told = np.array(gains).reshape(-1, 2)
     gained, possible = told.sum(axis=0)

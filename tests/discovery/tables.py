@@ -94,8 +94,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Table:
     for what, tell, aim in GAINS:
         share_of = tell(outcomes)
         if not math.isnan(share_of.value):
-            told = f"{share_of.value:.2f} ({share_of.low:.2f} to {share_of.high:.2f}), {share_of.cases} cases"
-            rows.append((what, "both", told, aim))
+            rows.append((what, "both", f"{share_of}, {share_of.cases} cases", aim))
     failed = share(o.diagnosis is None for o in outcomes)
     if failed.count:
         rows.append(("failed", "both", str(failed), "0"))

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from discovery import controllers
-from discovery.controllers import ACTING, EXTENDED, Setting, is_judged, pooled, run_all, tables, true_extension
-from discovery.judging import BASE, Finder
+from discovery.controllers import ACTING, EXTENDED, Setting, is_judged, run_all, tables, true_extension
+from discovery.judging import Finder, base_of
 from discovery.plans import Plan, plans
+from discovery.scoring import pooled
 from discovery.worlds.effects import CATALOGUE
 from flora_lab.diagnose.controller_gain import Effort
 from flora_lab.effects.catalogue import BY_NAME
@@ -42,7 +43,7 @@ def judging(world: Sequence[Plan], cases: Path, kept: Path, _: Finder) -> Iterat
     for number, plan in enumerate(world):
         folder = cases / plan.key / "diagnosis"
         if number == 0:
-            stored(mechanistic(), kept / f"{plan.form}-{plan.seed}" / BASE)
+            stored(mechanistic(), base_of(plan, kept))
         if number > 1:
             stored(mechanistic(), folder / EXTENDED, FOUND)
         causes = [{"effect": "sag", "parameters": {"amplitude": 0.8}}] if number > 1 else []
@@ -120,8 +121,8 @@ def test_a_true_sag_is_put_in_the_simulator_s_unit() -> None:
 
 
 def test_what_comes_back_is_pooled_over_cases() -> None:
-    share, low, high = pooled([0.1, 0.3, 0.0, -0.02], [0.08, 0.2, 0.01, 0.0])
-    assert share == pytest.approx(0.29 / 0.38)
-    assert low < share < high
-    same = pooled([0.1] * 8, [0.05] * 8)
-    assert same == pytest.approx((0.5, 0.5, 0.5))
+    share = pooled([(0.08, 0.1), (0.2, 0.3), (0.01, 0.0), (0.0, -0.02)])
+    assert share.value == pytest.approx(0.29 / 0.38)
+    assert share.low < share.value < share.high
+    same = pooled([(0.05, 0.1)] * 8)
+    assert (same.value, same.low, same.high) == pytest.approx((0.5, 0.5, 0.5))
