@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from drawings.run import make_world
-from flora_common import files
 from flora_common.arrays import ByteArray
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import from_background
@@ -75,22 +73,6 @@ def twin_examples(seed: int) -> list[Example]:
     finder = PlantFinder(from_background(_decoded(run.background)), run.camera, PathSettings())
     found = (photographed(finder, run.camera, frame) for frame in run.frames())
     return [example for example in found if example is not None]
-
-
-def write_examples(path: Path, examples: Sequence[Example]) -> None:
-    """Keep some, whole or not at all."""
-    arrays = {f"{name}{k}": getattr(one, name) for k, one in enumerate(examples) for name in Example.__slots__}
-    with files.atomic_writer(path) as file:
-        np.savez_compressed(file, **arrays)
-
-
-def read_examples(path: Path) -> list[Example]:
-    """Those that were kept."""
-    with np.load(path, allow_pickle=False) as arrays:
-        return [
-            Example(*(arrays[f"{name}{k}"] for name in Example.__slots__))
-            for k in range(len(arrays.files) // len(Example.__slots__))
-        ]
 
 
 def _decoded(jpegs: Sequence[bytes]) -> Iterator[ByteArray]:

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.utils.data import DataLoader, Dataset
 
 from flora_common import files
 from flora_common.vision.path.convolutions import CHANNELS, DECODER, DILATIONS, ENCODER
-from guide.examples import Example
-from guide.samples import sample
+from guide.pool import Pool
 
-WIDTHS: Final = 16, 32, 64, 128
+WIDTHS: Final = 16, 32, 64, 160
 """Channels of each level."""
-BATCH, BATCH_ON_CARD = 16, 32
+BATCH, BATCH_ON_CARD = 16, 64
 RATE, WARM_UP, POWER, DECAY, LEAST_RATE = 2e-3, 200, 0.9, 1e-4, 1e-3
 """Of the steps' size: greatest, steps until then, how it falls to the last one, of weights; least, as a share."""
+NEAREST: Final = 0.86
+"""What is wanted of the apex' own pixel at least, wherever in that it lies."""
 STEM_COUNTS: Final = 4.0
 """Places of a stem count by so much more than others."""
 APEX_SHARE: Final = 0.1
-SAVED_EVERY: Final = 1000
+SAVED_EVERY, TOLD_EVERY = 1000, 100
+RECORDED_AFTER: Final = 5
+"""Steps on a card before one is recorded: libraries choose their ways in them."""
 SEED: Final = 2
 
 
@@ -74,90 +76,127 @@ def loss(said: Tensor, wanted: Tensor) -> Tensor:
     """Cross entropy of the stem's map; of the apex's the focal loss of CenterNet (Zhou, Wang, Krähenbühl 2019)."""
     stem, apex, near = said[:, 0], said[:, 1], wanted[:, 1]
     by_place = functional.binary_cross_entropy_with_logits(stem, wanted[:, 0], reduction="none")
-    likely, there = torch.sigmoid(apex), (near > 0.97).float()
+    likely, there = torch.sigmoid(apex), ((near == near.amax(dim=(1, 2), keepdim=True)) & (near > NEAREST)).float()
     found = there * (1 - likely) ** 2 * functional.logsigmoid(apex)
     missed = (1 - there) * (1 - near) ** 4 * likely**2 * functional.logsigmoid(-apex)
     focal = -(found + missed).sum() / there.sum().clamp(min=1)
     return (by_place * (1 + STEM_COUNTS * wanted[:, 0])).mean() + APEX_SHARE * focal
 
 
-class Batches(Dataset[tuple[Tensor, Tensor]]):
-    """What each step learns from, drawn anew of a seed of its own: who stops and goes on draws as who does not."""
+class Learner:
+    """A network that learns step by step.
 
-    def __init__(self, kinds: Sequence[Sequence[Example]], shares: Sequence[float], steps: range, size: int) -> None:
-        self.kinds, self.shares, self.steps, self.size = kinds, np.array(shares) / np.sum(shares), steps, size
+    On a graphics card a step is recorded once and played back (a CUDA graph), for a processor takes longer to ask for
+    its several hundred small parts than a card to do them.
 
-    def __len__(self) -> int:
-        return len(self.steps)
+    Args:
+        pool: what it learns from, on the device where it learns.
+    """
 
-    def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
-        """What is seen, shape (size, 4, side, side), and wanted, shape (size, 2, side / 2, side / 2)."""
-        rng = np.random.default_rng([SEED, self.steps[index]])
-        drawn = rng.choice(len(self.kinds), size=self.size, p=self.shares)
-        batch = [sample(self.kinds[k][rng.integers(len(self.kinds[k]))], rng) for k in drawn]
-        seen, wanted = (torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True))
-        return seen, wanted
+    def __init__(self, pool: Pool) -> None:
+        torch.manual_seed(SEED)
+        self.steps, self.elapsed_s = 0, 0.0
+        self._pool, device = pool, pool.device
+        self.has_card = device.type == "cuda"
+        self.net = Trained().to(device, memory_format=torch.channels_last)
+        self._rate = torch.zeros((), device=device)
+        self._optimiser = torch.optim.AdamW(
+            self.net.parameters(), lr=self._rate, weight_decay=DECAY, fused=True, capturable=self.has_card
+        )
+        self._total = torch.zeros((), device=device)
+        self._until_recorded = RECORDED_AFTER
+        self._recorded: torch.cuda.CUDAGraph | None = None
+
+    def step(self, size: float) -> None:
+        """Learn from a batch, drawn of a seed of its own: who stops and goes on draws as who does not.
+
+        Args:
+            size: of the step, as a share of the greatest.
+        """
+        self._rate.fill_(RATE * size)
+        torch.manual_seed(SEED + 1 + self.steps)
+        if not self.has_card:
+            self._learn(BATCH)
+        elif self._until_recorded > 0:
+            self._until_recorded -= 1
+            torch.cuda.synchronize()
+            with torch.cuda.stream(torch.cuda.Stream()):  # as recording asks for
+                self._learn(BATCH_ON_CARD)
+            torch.cuda.synchronize()
+        else:
+            if self._recorded is None:
+                self._recorded = torch.cuda.CUDAGraph()
+                with torch.cuda.graph(self._recorded):
+                    self._learn(BATCH_ON_CARD)
+            self._recorded.replay()
+        self.steps += 1
+
+    def mean_loss(self) -> float:
+        """Of the steps since it was asked for last."""
+        found = self._total.item()
+        self._total.zero_()
+        return found
+
+    def keep(self, path: Path) -> None:
+        """Write what is learnt, to go on from, whole or not at all."""
+        buffer = io.BytesIO()
+        kept = {"net": self.net.state_dict(), "optimiser": self._optimiser.state_dict()}
+        torch.save({**kept, "steps": self.steps, "elapsed_s": self.elapsed_s}, buffer)
+        files.write_bytes(path, buffer.getvalue())
+
+    def go_on(self, path: Path) -> None:
+        """Go on from what was kept, before any step."""
+        kept = torch.load(path, weights_only=True, map_location=self._pool.device)
+        self.net.load_state_dict(kept["net"])
+        self._optimiser.load_state_dict(kept["optimiser"])
+        self._rate = self._optimiser.param_groups[0]["lr"]
+        self.steps, self.elapsed_s = int(kept["steps"]), float(kept["elapsed_s"])
+
+    def _learn(self, size: int) -> None:
+        seen, wanted = self._pool.sample(size)
+        with torch.autocast(seen.device.type, torch.bfloat16, cache_enabled=False):  # a third less time
+            said = self.net(seen)
+        value = loss(said, wanted)
+        self._optimiser.zero_grad()
+        value.backward()
+        nn.utils.clip_grad_norm_(self.net.parameters(), 2.0)
+        self._optimiser.step()
+        self._total += value.detach() / TOLD_EVERY
 
 
 def train(
-    kinds: Sequence[Sequence[Example]],
-    shares: Sequence[float],
-    steps: int,
+    pool: Pool,
+    progress: Callable[[int, float], float],
     checkpoint: Path,
-    jobs: int,
     told: Callable[[int, float], None],
+    more: Callable[[], None] = lambda: None,
 ) -> Trained:
-    """Train for so many steps, or what is left of them; on a graphics card where torch finds one.
+    """Train, or go on with it.
 
     Args:
-        kinds, shares: examples of each kind, and how many of a batch are of it.
-        steps: in all.
+        pool: examples of each kind, at least one.
+        progress: share that is done after so many steps and seconds; the last step is where it comes to 1.
         checkpoint: what is done is kept here every :data:`SAVED_EVERY` steps, and gone on with.
-        jobs: processes that draw, where a graphics card learns.
-        told: step and mean loss of the last hundred.
+        told: step and mean loss of the last :data:`TOLD_EVERY`.
+        more: called as often; it may add to the pool.
     """
-    has_card = torch.cuda.is_available()
-    device = torch.device("cuda" if has_card else "cpu")
-    torch.manual_seed(SEED)
-    net = Trained().to(device, memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=DECAY, fused=True)
-    done = 0
+    learner = Learner(pool)
     if checkpoint.exists():
-        kept = torch.load(checkpoint, weights_only=True, map_location=device)
-        net.load_state_dict(kept["net"])
-        optimiser.load_state_dict(kept["optimiser"])
-        done = int(kept["steps"])
-    # beside a card the processors draw, forked to share the examples, some 13 GB; else they have enough to do
-    batches = DataLoader(
-        Batches(kinds, shares, range(done, steps), BATCH_ON_CARD if has_card else BATCH),
-        batch_size=None,
-        num_workers=jobs if has_card else 0,
-        multiprocessing_context="fork" if has_card else None,
-        pin_memory=has_card,
-    )
-    total = torch.zeros((), device=device)
-    for step, (seen, wanted) in enumerate(batches, done):
-        size = min(1.0, step / WARM_UP) * (1.0 - step / steps) ** POWER + LEAST_RATE
-        for group in optimiser.param_groups:
-            group["lr"] = RATE * size
-        inputs = seen.to(device, non_blocking=True).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(device.type, torch.bfloat16):  # a third less time where a processor has it
-            said = net(inputs)
-        value = loss(said, wanted.to(device, non_blocking=True))
-        optimiser.zero_grad()
-        value.backward()
-        nn.utils.clip_grad_norm_(net.parameters(), 2.0)
-        optimiser.step()
-        total += value.detach()
-        if (step + 1) % 100 == 0:
-            told(step + 1, total.item() / 100)
-            total.zero_()
-        if (step + 1) % SAVED_EVERY == 0 or step + 1 == steps:
-            _keep(checkpoint, net, optimiser, step + 1)
-    return net.cpu().eval()
+        learner.go_on(checkpoint)
+    began_s = time.monotonic() - learner.elapsed_s
+    while (done := progress(learner.steps, learner.elapsed_s)) < 1.0:
+        learner.step(min(1.0, learner.steps / WARM_UP) * (1.0 - done) ** POWER + LEAST_RATE)
+        if learner.steps % TOLD_EVERY == 0:
+            more()
+            told(learner.steps, learner.mean_loss())
+            learner.elapsed_s = time.monotonic() - began_s
+        if learner.steps % SAVED_EVERY == 0:
+            learner.keep(checkpoint)
+    learner.keep(checkpoint)
+    return learner.net.cpu().eval()
 
 
-def averaged(net: Trained, checkpoint: Path, share: float, batches: Iterable[tuple[Tensor, Tensor]]) -> Trained:
+def averaged(net: Trained, checkpoint: Path, share: float, pool: Pool, batches: int) -> Trained:
     """The mean of a network's weights and those it had earlier, which is right more often than either (Izmailov et al.
     2018), its normalisation measured anew.
 
@@ -165,9 +204,10 @@ def averaged(net: Trained, checkpoint: Path, share: float, batches: Iterable[tup
         net: as it is now.
         checkpoint: as it was.
         share: of ``net`` in the mean.
-        batches: what is seen in them tells the normalisation.
+        pool: what is seen in its samples tells the normalisation.
+        batches: so many of them.
     """
-    before, now = torch.load(checkpoint, weights_only=True)["net"], net.state_dict()
+    before, now = torch.load(checkpoint, weights_only=True, map_location="cpu")["net"], net.state_dict()
     net.load_state_dict(
         {k: share * v + (1.0 - share) * before[k] if v.is_floating_point() else v for k, v in now.items()}
     )
@@ -176,13 +216,8 @@ def averaged(net: Trained, checkpoint: Path, share: float, batches: Iterable[tup
             part.reset_running_stats()
             part.momentum = None  # the mean of all
     net.train()
+    torch.manual_seed(SEED)
     with torch.no_grad():
-        for seen, _ in batches:
-            net(seen)
+        for _ in range(batches):
+            net(pool.sample(BATCH)[0].cpu())
     return net.eval()
-
-
-def _keep(path: Path, net: Trained, optimiser: torch.optim.Optimizer, steps: int) -> None:
-    buffer = io.BytesIO()
-    torch.save({"net": net.state_dict(), "optimiser": optimiser.state_dict(), "steps": steps}, buffer)
-    files.write_bytes(path, buffer.getvalue())
