@@ -49,13 +49,13 @@ def several(made: Callable[[int], Example | None], seed: int) -> list[Example]:
 
 
 KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] = {
-    "drawing": (drawing_examples, 810_000, 1, 0.22),
-    "twin": (twin_examples, 500_000, 1, 0.09),
-    "wild": (partial(several, wild_example), 1_000_000, PER_FILE, 0.29),
-    "bare": (partial(several, partial(wild_example, is_bare=True)), 1_500_000, PER_FILE, 0.03),
+    "drawing": (drawing_examples, 810_000, 1, 0.15),
+    "twin": (twin_examples, 500_000, 1, 0.07),
+    "wild": (partial(several, wild_example), 1_000_000, PER_FILE, 0.20),
+    "bare": (partial(several, partial(wild_example, is_bare=True)), 1_500_000, PER_FILE, 0.02),
     "misleading": (partial(several, misleading_example), 2_500_000, PER_FILE, 0.12),
-    "modelled": (partial(several, modelled_example), 3_000_000, PER_FILE, 0.32),
-    "scape": (partial(several, partial(modelled_example, habit=Scape)), 4_000_000, PER_FILE, 0.08),
+    "modelled": (partial(several, modelled_example), 3_000_000, PER_FILE, 0.37),
+    "scape": (partial(several, partial(modelled_example, habit=Scape)), 4_000_000, PER_FILE, 0.07),
 }
 """How each is made, its first seed, how far seeds are apart, and its share of all samples."""
 
@@ -123,10 +123,10 @@ def main() -> None:
         "--drawings", dest="drawing", type=int, default=400, help="drawn individuals, eight pictures each (400)"
     )
     parser.add_argument("--twins", dest="twin", type=int, default=60, help="individuals of the virtual box (60)")
-    parser.add_argument("--wild", type=int, default=240, help=f"times {PER_FILE} wild plants (240)")
+    parser.add_argument("--wild", type=int, default=200, help=f"times {PER_FILE} wild plants (200)")
     parser.add_argument("--bare", type=int, default=20, help=f"times {PER_FILE} stems without leaves (20)")
     parser.add_argument("--misleading", type=int, default=130, help=f"times {PER_FILE} that are easily mistaken (130)")
-    parser.add_argument("--modelled", type=int, default=300, help=f"times {PER_FILE} in three dimensions (300)")
+    parser.add_argument("--modelled", type=int, default=500, help=f"times {PER_FILE} in three dimensions (500)")
     parser.add_argument(
         "--scapes", dest="scape", type=int, default=160, help=f"times {PER_FILE} flowering stalks (160)"
     )

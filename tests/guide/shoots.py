@@ -7,7 +7,7 @@ and hide it, petioles in every direction, hooks that turn towards the camera. Ev
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -88,6 +88,8 @@ class Shoot:
         stem, to_apex = self._stem(axis, tangent, width, leaf)
         if habit != "bare":
             self._leaves(stem, leaf, habit)
+        if habit == "leafy" and rng.random() < 0.5:
+            self._closed(stem, leaf)
         if rng.random() < (0.85 if habit == "seedling" else 0.35):
             self._cotyledons(stem, leaf, habit)
         return to_apex
@@ -228,6 +230,25 @@ class Shoot:
             number += 1
         if rng.random() < 0.1:
             self._rosette(stem, leaf, int(rng.integers(2, 8)))
+
+    def _closed(self, stem: Stem, leaf: Leafage) -> None:
+        """The youngest leaves, closed upon each other over the apex, which lies at their foot."""
+        rng = self._rng
+        count, azimuth, together = int(rng.integers(1, 5)), float(rng.uniform(0, 2 * np.pi)), abs(rng.normal()) * 0.2
+        young = replace(
+            leaf,
+            form=leaf.form if rng.random() < 0.5 else "simple",
+            size_cm=float(np.exp(rng.uniform(np.log(0.25), np.log(2.2)))),
+            stalk=0.0,
+            aspect=float(rng.uniform(0.2, 0.8)),
+            young_at=together,
+            old_at=together + 0.4,
+            curl=-abs(rng.normal()) * 0.5,
+        )
+        for k in range(count):
+            below, age = float(rng.uniform(0.0, 0.1)), float(rng.uniform(0.0, 0.4))
+            turn = azimuth + 2 * np.pi * k / count
+            self._leaf(stem, stem.at(below), turn, young, float(rng.uniform(0.5, 1.1)), age)
 
     def _rosette(self, stem: Stem, leaf: Leafage, count: int) -> None:
         for _ in range(count):
