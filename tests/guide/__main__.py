@@ -134,6 +134,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, help="of training, in place of a number of steps")
     parser.add_argument("--mean-with", type=Path, help="a checkpoint from before the last steps, to take the mean with")
     parser.add_argument("--mean-share", type=float, default=0.85, help="of the last steps' network in the mean (0.85)")
+    parser.add_argument(
+        "--apex", type=float, nargs=2, default=(1.0, 0.0), metavar=("FACTOR", "SHIFT"), help="on its logit (1 0)"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     folder = options.out / "examples"
@@ -169,7 +172,7 @@ def main() -> None:
     if options.mean_with is not None:
         net = averaged(net, options.mean_with, options.mean_share, pool, TO_NORMALISE)
     torch.manual_seed(5)
-    layers = in_whole_numbers(net, pool.sample(TO_SCALE)[0].cpu())
+    layers = in_whole_numbers(net, pool.sample(TO_SCALE)[0].cpu(), tuple(options.apex))
     with files.atomic_writer(options.out / "guide.npz") as file:
         np.savez_compressed(file, **arrays_of(layers))
     print(f"\nwrote {options.out / 'guide.npz'}")

@@ -20,12 +20,14 @@ LOOKED_AT: Final = 37
 ROOM: Final = 0.98
 
 
-def in_whole_numbers(net: Trained, inputs: torch.Tensor) -> dict[str, Layer]:
+def in_whole_numbers(net: Trained, inputs: torch.Tensor, apex: tuple[float, float] = (1.0, 0.0)) -> dict[str, Layer]:
     """The layers of a trained network.
 
     Args:
         net: trained.
         inputs: shape (n, 4, side, side), which tell how large activations become.
+        apex: factor on the logit of the apex, and what is added to it then, so that a likelihood means what it meant
+            of the network with which the finder's limits were chosen (Platt 1999).
     """
     steps = _steps(net, inputs)
     beside = {
@@ -48,6 +50,9 @@ def in_whole_numbers(net: Trained, inputs: torch.Tensor) -> dict[str, Layer]:
         whole = np.rint(weight / step[:, None, None, None])
         layers[name] = Layer(*(v.astype(np.float32) for v in (whole, step / out, shift / out)))
         before = name
+    head, (size, shift) = layers[HEAD], apex
+    by_map = np.array([1.0, size], np.float32)
+    layers[HEAD] = Layer(head.weight, head.factor * by_map, head.shift * by_map + np.array([0.0, shift], np.float32))
     return layers
 
 

@@ -59,6 +59,9 @@ def test_whole_numbers_say_what_floating_point_says(pool: Pool) -> None:
     assert np.abs(found - said).mean() < 0.05 * said.std()
     for layer in arrays_of(in_whole_numbers(net, seen)).values():
         assert layer.dtype in (np.int16, np.float32)
+    spread = Network(in_whole_numbers(net, seen, (1.5, -0.4)))(np.ascontiguousarray(whole[0].numpy()))
+    assert np.allclose(spread[1], 1.5 * found[0, 1] - 0.4, atol=1e-4)
+    assert np.array_equal(spread[0], found[0, 0])
 
 
 def test_training_that_was_stopped_goes_on_to_the_same_weights(

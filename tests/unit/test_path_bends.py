@@ -157,7 +157,7 @@ def in_noise(upper: float, noise: float, seed: int) -> np.ndarray:
 @pytest.mark.parametrize(("upper", "outcome"), [(1.0, OK), (0.35, OCCLUDED)])
 def test_a_stem_that_sinks_into_noise_is_not_taken_for_short(upper: float, outcome: str) -> None:
     """What is seen of it is as plain as it ever gets; one that is known may be shown so."""
-    reading = tracker().read(in_noise(upper, 30.0, 3), 0.0)
+    reading = tracker().read(in_noise(upper, 30.0, 4), 0.0)
     assert reading.outcome == outcome
     assert (tip_error_mm(reading, upright(9.0)) > 30.0) == (outcome == OCCLUDED)
 

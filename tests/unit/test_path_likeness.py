@@ -51,6 +51,23 @@ def test_the_state_that_the_picture_meets_goes_before_one_that_is_a_little_like_
     assert not USUAL.unmet(0.0, likely)
 
 
+def test_what_a_plant_hides_is_not_asked_for_where_little_else_has_structure() -> None:
+    """A plain board with a pole, along which a plant grows up: what is left of the pole is the setup's."""
+    rows = np.arange(ROWS)[:, None]
+    pole = np.where(np.abs(np.arange(COLUMNS) - 100) < 3, 6.0 + 2.0 * np.sin(rows / 3.0), 0.0)
+    likeness = SetupLikeness(
+        EmptySetup([from_background([picture(pole)]).states[0]], "background"), anchor_y_px=ROWS * REDUCED
+    )
+    covered, moved = pole.copy(), np.roll(pole, 9, axis=1)
+    covered[60:, 90:110] = structure(5)[60:, 90:110] * 4.0
+    grown, elsewhere = survey(picture(covered), number=0), survey(picture(moved), number=0)
+    grown.plant[60 * 2 :, 90 * 2 : 110 * 2] = 1
+    assert not USUAL.unmet(0.0, likeness.of(grown))
+    assert USUAL.unmet(0.0, likeness.of(elsewhere))
+    bare = survey(picture(covered), number=0)
+    assert "cannot be recognised" in USUAL.unmet(0.0, likeness.of(bare))
+
+
 def test_a_picture_that_is_hardly_like_the_setup_anywhere_says_by_how_much() -> None:
     demands = Demands(changed=0.1, correlation=0.85, worst_band=0.5, gain=0.5, elsewhere=0.25)
     assert "by 23% otherwise" in demands.unmet(0.0, Likeness(correlation=0.77))

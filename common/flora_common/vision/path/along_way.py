@@ -28,8 +28,6 @@ SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5
 """Where the likeliest apex elsewhere is less likely than the first, the end need be less likely by that power of how
 much, and by the last at most; where it is likelier, and nothing is known from pictures before, by as much likelier."""
-SURE_IN_NOISE: Final = 0.4
-"""How likely an apex must be where nothing is known and the stem hardly stands out of the noise."""
 SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 """The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
 pictures."""

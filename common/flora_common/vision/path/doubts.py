@@ -46,6 +46,12 @@ faded and may go on unseen."""
 STEADY, STEADY_CM = 0.8, 3.0
 """A stem as long as the second, whose evidence before the tip is this share of that below, has not faded, however much
 noise there is."""
+SUNK_CM, SUNK_ASIDE_CM, SUNK_BESIDE_CM = (0.4, 2.4), 0.12, (0.5, 1.1)
+"""A stem that sinks into noise goes on over the first, ahead of where it is lost: so far to either side it is looked
+for, and the board beside it so far off."""
+SUNK_SHARE, SUNK_ERRORS = 0.1, 3.0
+"""It differs from the board by more than this share of what the stem before does, and than so many standard errors."""
+LEAST_SUNK_PX: Final = 10
 BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
 HIDES_MORE: Final = "something stands before the board where it ends, and may hide more of it"
 ANOTHER_PART: Final = "another part of the plant may as well be the stem"
@@ -145,6 +151,44 @@ def hides_more(line: FloatArray, flat: Float32Array | None, px_per_cm: float) ->
     off = np.median(board, axis=0)
     error = ERROR_OF_MEDIAN * np.median(np.abs(board - off), axis=0) / math.sqrt(len(board))
     return HIDES_MORE if (np.abs(off) > np.maximum(NOT_THE_BOARD, ERRORS * error)).any() else ""
+
+
+def sinks(line: FloatArray, flat: Float32Array | None, px_per_cm: float) -> bool:
+    """Whether a stem that hardly stands out of the noise goes on straight ahead of a line's end, fainter than noise.
+
+    A mean over centimetres tells what no place by itself does: the board along what would be the stem's middle differs
+    from that beside it in the colour by which the stem before differs.
+
+    Args:
+        line: px of the full picture.
+        flat: how the picture differs from the empty setup (:class:`.survey.Survey`); None where that is not known.
+        px_per_cm: of the full picture.
+    """
+    if flat is None:
+        return False
+    ahead = heading_at_end(line, HEADING_CM * px_per_cm)
+    aside = np.array([-ahead[1], ahead[0]])
+    beside = np.arange(*SUNK_BESIDE_CM, PLACE_CM)
+    within = np.linspace(-SUNK_ASIDE_CM, SUNK_ASIDE_CM, 3)
+
+    def seen(forwards_cm: FloatArray, aside_cm: FloatArray) -> FloatArray:
+        """Each coarse pixel once, shape (n, 3)."""
+        off = forwards_cm[:, None, None] * ahead + aside_cm[None, :, None] * aside
+        places = (line[-1] + px_per_cm * off.reshape(-1, 2)) / COARSE
+        x, y = np.unique(np.rint(places).astype(int), axis=0).T
+        inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
+        return np.asarray(flat[y[inside], x[inside]], dtype=np.float64)
+
+    beyond = np.arange(*SUNK_CM, PLACE_CM)
+    stem, board = seen(-beyond, within), seen(-beyond, np.concatenate([-beside, beside]))
+    onwards, there = seen(beyond, within), seen(beyond, np.concatenate([-beside, beside]))
+    if min(map(len, (stem, board, onwards, there))) < LEAST_SUNK_PX:
+        return False
+    contrast = stem.mean(axis=0) - board.mean(axis=0)
+    size = float(np.linalg.norm(contrast)) + 1e-9
+    off, noise = (v @ (contrast / size) for v in (onwards, there))
+    error = float(noise.std()) * math.sqrt(1.0 / len(off) + 1.0 / len(noise))
+    return float(off.mean() - noise.mean()) > max(SUNK_SHARE * size, SUNK_ERRORS * error)
 
 
 def unseen(gap_cm: float) -> str:

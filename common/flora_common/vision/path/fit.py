@@ -239,7 +239,7 @@ class Fitter:
         if fit.held:
             unsure = doubts.ANOTHER_PART
         # the lower part of a stem that sinks into noise is as plain as any, up to where it sinks
-        may_be_steady = not is_first or way.sure >= along_way.SURE_IN_NOISE
+        may_be_steady = not is_first or not doubts.sinks(final.line, sight.flat, scale)
         fades = doubts.fades(final, sampler, scale, may_be_steady=may_be_steady)
         unsure = fades or doubts.ends_in_leaf(final, sampler, scale) or unsure
         if not unsure and not self._is_plain(way, final, sight, sampler, past):

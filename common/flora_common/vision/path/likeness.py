@@ -40,6 +40,9 @@ OVER_NOISE: Final = 4.0
 MOST_NOISE: Final = 0.9
 """Share of a square's power that is put down to noise at most."""
 LEAST_SQUARES: Final = 6
+FEW_SQUARES, LEAST_SHOWN = 24, 3
+"""So few have structure before a plain board that a plant may hide most of them: what it hides is not asked for, where
+as many as the second are left."""
 CLIP: Final = 40.0
 BANDS, LEAST_OF_BAND = 5, 4
 """Level bands that a picture is cut into, and how many telling squares one needs to be judged by itself."""
@@ -179,6 +182,9 @@ class SetupLikeness:
         if telling is None:
             return None
         order, empty, power, _ = telling
+        shown = ~hidden[order]
+        if len(order) < FEW_SQUARES and np.count_nonzero(shown) >= LEAST_SHOWN:
+            order, empty, power = order[shown], empty[shown], power[shown]
         here = squares[order]
         common = (here * empty).mean(axis=1)
         own = (here**2).mean(axis=1)
