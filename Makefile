@@ -119,7 +119,7 @@ discovery-gain: setup  ## what naming hidden effects is worth to controllers; an
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper
 
-guide: setup  ## make the network that tells stems and apices anew, in out/guide: three hours; goes on where it was stopped
+guide: setup  ## make the network that tells stems and apices anew, in out/guide: five hours, or minutes with a graphics card; goes on where it was stopped
 	@$(BIN)/python tests/guide --out out/guide --jobs $(JOBS)
 
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
