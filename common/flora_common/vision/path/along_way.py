@@ -21,8 +21,6 @@ from flora_common.vision.path.tip import Tip, find_tip
 
 USABLE: Final = 0.13
 """How likely an apex is at least where its way is taken."""
-SEEN_AT_ALL: Final = 0.03
-"""What is less likely the apex is seen nowhere, and agrees with no stem that the rules find."""
 SURE, SURE_OF_TWO, SURE_AGAIN = 0.3, 0.22, 0.14
 """The same where it is believed by itself, where the rules come to it but doubt it, and where it was plain before."""
 ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5

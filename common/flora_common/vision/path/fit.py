@@ -212,9 +212,8 @@ class Fitter:
         assert fit.chain is not None
         told = self._chain_judged(fit.chain, final, sight, sampler, past)
         way = along_way.chosen(sight.ways, past.before, self._scale)
-        # with nothing known, rules by themselves follow a stem that crosses the plant's own
-        is_seen = past.before is not None or way.sure >= along_way.SEEN_AT_ALL
-        if not told.unsure and not (is_seen and along_way.agrees(way, final, self._scale)):
+        # with nothing known, rules by themselves follow a stem that crosses the plant's own, or a part of it
+        if not told.unsure and (past.before is None or not along_way.agrees(way, final, self._scale)):
             return replace(told, unsure="its end does not look like an apex")
         if not told.unsure and rivals.are_strong:
             return replace(told, unsure=doubts.ANOTHER_PART)
