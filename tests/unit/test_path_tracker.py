@@ -147,6 +147,14 @@ def test_a_jump_is_told_and_believed_when_it_stays() -> None:
     assert "cm from the one before" in moved[0].reason
 
 
+@pytest.mark.parametrize(("leapt_cm", "outcome"), [(0.9, "ok"), (1.3, "jumped")])
+def test_a_tip_leaps_no_farther_than_plants_move_in_five_minutes(leapt_cm: float, outcome: str) -> None:
+    """No tip of the virtual box moves by more than 0.8 cm."""
+    one = tracker()
+    assert [r.outcome for r in read_all(one, [swaying(0.0)] * 4)] == ["ok"] * 4
+    assert one.read(photograph(swaying(leapt_cm), 4), 4 * 300.0).outcome == outcome
+
+
 def test_one_jump_is_forgotten() -> None:
     one = tracker()
     read_all(one, [swaying(-2.0)] * 3)

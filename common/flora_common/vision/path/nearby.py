@@ -46,7 +46,7 @@ SAME_CM: Final = 0.3
 """A tip as near as this is the same."""
 LESS_SEEN: Final = 0.1
 """Share of the stem by which less of it is seen than before, at most."""
-STEP_CM, STEP_SHARE = 0.2, 0.25
+STEP_CM, STEP_SHARE = 0.2, 0.14
 """A tip that moved by more than the first, and this share of the fastest growth, is likely another thing."""
 HELD_MOVED_CM: Final = 1.2
 """A stem is held to, while the whole picture tells of another one, if its tip moved by less, and less than to the

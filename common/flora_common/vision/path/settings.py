@@ -36,6 +36,6 @@ class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     longest_gap_cm: PositiveCm = 5.0
     hidden_base_cm: PositiveCm = 2.5
     below_anchor_cm: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 0.0
-    jump_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 0.7
-    fastest_cm_per_h: PositiveCm = 5.0
+    jump_cm: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 0.4
+    fastest_cm_per_h: PositiveCm = 9.0
     points: Literal["y", "arc"] = "y"
