@@ -97,8 +97,8 @@ class Arriving:
                 return
 
     def all(self, pool: Pool) -> None:
-        """Wait for all, and take them in."""
-        for one in as_completed(self._made):
+        """Wait for all, and take them in, in the order in which they were asked for: samples are the same again."""
+        for one in self._made:
             self._take(pool, one)
             print(f"\rexamples: {len(self._made) - len(self._waiting)} of {len(self._made)} files", end="", flush=True)
         print(f", {sum(pool.counts)} pictures")
