@@ -145,7 +145,7 @@ def tables(lines: Sequence[Mapping[str, Any]], kinds: Sequence[Kind]) -> list[Ta
                 kind,
                 str(len(told)),
                 *(_cell(*(one[name] for one in told)) for name in COMPARED),
-                _cell(*(one["oracle"] for one in told)) if all("oracle" in one for one in told) else "-",
+                *_of_truth(told),
                 str(pooled([(one["difference"]["mean"], one["cost"]["mean"]) for one in told])),
                 ">= 0.50",
             )
@@ -155,12 +155,21 @@ def tables(lines: Sequence[Mapping[str, Any]], kinds: Sequence[Kind]) -> list[Ta
         strength = ", ".join(f"{name} {value:.3g}" for name, value in hidden["parameters"].items())
         cells = (_cell(line["controllers"][kind][name]) for kind in kinds for name in COMPARED)
         each.append((hidden["effect"], strength, ", ".join(line["named"]) or "-", *cells))
-    header = ("controllers", "cases", "without effect", "base's", "extended's", "true plant's", "comes back", "aim")
+    truth = ("true plant's", "of what the truth brings")
+    header = ("controllers", "cases", "without effect", "base's", "extended's", *truth, "of the cost", "aim")
     per_kind = tuple(f"{kind}: {name}" for kind in kinds for name in ("without effect", "base's", "extended's"))
     return [
         Table("Fitness (collisions) on plants with a hidden effect", header, summary),
         Table("By case", ("hidden", "strength", "named", *per_kind), each),
     ]
+
+
+def _of_truth(told: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """Fitness of controllers that were evolved in the true plant, and what comes back as a share of what they bring."""
+    if not all("oracle" in one for one in told):
+        return "-", "-"
+    brought = [(one["difference"]["mean"], one["oracle"]["mean"] - one["base"]["mean"]) for one in told]
+    return _cell(*(one["oracle"] for one in told)), str(pooled(brought))
 
 
 def _cell(*told: Mapping[str, float]) -> str:

@@ -74,6 +74,15 @@ def test_what_is_missed_brings_nothing_back_and_what_is_named_is_tried(
     assert [json.loads(line) for line in results.read_text().splitlines()] == [missed, failed, named]
     summary, each = tables([missed, failed, named], ["feedback"])
     assert [row[1] for row in summary.rows] == ["2"]
+    by_name = dict(zip(summary.header, summary.rows[0], strict=True))
+    both = [line["controllers"]["feedback"] for line in (missed, named)]
+    brought = [(one["difference"]["mean"], one["oracle"]["mean"] - one["base"]["mean"]) for one in both]
+    assert by_name["of what the truth brings"] == str(pooled(brought))
+    without = [{**one, "oracle": {**one["base"], "mean": one["base"]["mean"] + 0.2}} for one in both]
+    half = [{**one, "difference": {**one["difference"], "mean": 0.1}} for one in without]
+    lines = [{**line, "controllers": {"feedback": one}} for line, one in zip((missed, named), half, strict=True)]
+    row = dict(zip(summary.header, tables(lines, ["feedback"])[0].rows[0], strict=True))
+    assert row["of what the truth brings"].startswith("0.50")
     assert len(each.rows) == 2
 
 
