@@ -72,10 +72,10 @@ def make(kind: str, seed: int, folder: Path) -> Path:
 def room_px(device: torch.device) -> int:
     """Pixels of examples for which there is room where it is learnt."""
     if device.type == "cuda":
-        free_bytes, _ = torch.cuda.mem_get_info(device)
+        memory_bytes, _ = torch.cuda.mem_get_info(device)
     else:
-        free_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return int(OF_MEMORY * free_bytes / PLANES)
+        memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return int(OF_MEMORY * memory_bytes / PLANES)
 
 
 class Arriving:

@@ -97,11 +97,12 @@ class Learner:
         torch.manual_seed(SEED)
         self.steps, self.elapsed_s = 0, 0.0
         self._pool, device = pool, pool.device
-        self.has_card = device.type == "cuda"
+        self._has_card = device.type == "cuda"
+        self._batch = BATCH_ON_CARD if self._has_card else BATCH
         self.net = Trained().to(device, memory_format=torch.channels_last)
         self._rate = torch.zeros((), device=device)
         self._optimiser = torch.optim.AdamW(
-            self.net.parameters(), lr=self._rate, weight_decay=DECAY, fused=True, capturable=self.has_card
+            self.net.parameters(), lr=self._rate, weight_decay=DECAY, fused=True, capturable=self._has_card
         )
         self._total = torch.zeros((), device=device)
         self._until_recorded = RECORDED_AFTER
@@ -115,19 +116,19 @@ class Learner:
         """
         self._rate.fill_(RATE * size)
         torch.manual_seed(SEED + 1 + self.steps)
-        if not self.has_card:
-            self._learn(BATCH)
+        if not self._has_card:
+            self._learn()
         elif self._until_recorded > 0:
             self._until_recorded -= 1
             torch.cuda.synchronize()
             with torch.cuda.stream(torch.cuda.Stream()):  # as recording asks for
-                self._learn(BATCH_ON_CARD)
+                self._learn()
             torch.cuda.synchronize()
         else:
             if self._recorded is None:
                 self._recorded = torch.cuda.CUDAGraph()
                 with torch.cuda.graph(self._recorded):
-                    self._learn(BATCH_ON_CARD)
+                    self._learn()
             self._recorded.replay()
         self.steps += 1
 
@@ -152,8 +153,8 @@ class Learner:
         self._rate = self._optimiser.param_groups[0]["lr"]
         self.steps, self.elapsed_s = int(kept["steps"]), float(kept["elapsed_s"])
 
-    def _learn(self, size: int) -> None:
-        seen, wanted = self._pool.sample(size)
+    def _learn(self) -> None:
+        seen, wanted = self._pool.sample(self._batch)
         with torch.autocast(seen.device.type, torch.bfloat16, cache_enabled=False):  # a third less time
             said = self.net(seen)
         value = loss(said, wanted)

@@ -138,16 +138,10 @@ def hides_more(line: FloatArray, flat: Float32Array | None, px_per_cm: float) ->
     """
     if flat is None:
         return ""
-    ahead = heading_at_end(line, HEADING_CM * px_per_cm)
     along, across = np.arange(*BEYOND_CM, PLACE_CM), np.arange(-BESIDE_CM, BESIDE_CM + 0.5 * PLACE_CM, PLACE_CM)
-    aside = np.array([-ahead[1], ahead[0]])
-    off = along[:, None, None] * ahead + across[None, :, None] * aside
-    x, y = np.rint((line[-1] + px_per_cm * off.reshape(-1, 2)) / COARSE).astype(int).T
-    x, y = np.unique(np.stack([x, y]), axis=1)
-    inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
-    if not inside.any():
+    board = _about_end(flat, line, along, across, px_per_cm)
+    if not len(board):
         return ""
-    board = flat[y[inside], x[inside]]
     off = np.median(board, axis=0)
     error = ERROR_OF_MEDIAN * np.median(np.abs(board - off), axis=0) / math.sqrt(len(board))
     return HIDES_MORE if (np.abs(off) > np.maximum(NOT_THE_BOARD, ERRORS * error)).any() else ""
@@ -166,22 +160,13 @@ def sinks(line: FloatArray, flat: Float32Array | None, px_per_cm: float) -> bool
     """
     if flat is None:
         return False
-    ahead = heading_at_end(line, HEADING_CM * px_per_cm)
-    aside = np.array([-ahead[1], ahead[0]])
-    beside = np.arange(*SUNK_BESIDE_CM, PLACE_CM)
-    within = np.linspace(-SUNK_ASIDE_CM, SUNK_ASIDE_CM, 3)
-
-    def seen(forwards_cm: FloatArray, aside_cm: FloatArray) -> FloatArray:
-        """Each coarse pixel once, shape (n, 3)."""
-        off = forwards_cm[:, None, None] * ahead + aside_cm[None, :, None] * aside
-        places = (line[-1] + px_per_cm * off.reshape(-1, 2)) / COARSE
-        x, y = np.unique(np.rint(places).astype(int), axis=0).T
-        inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
-        return np.asarray(flat[y[inside], x[inside]], dtype=np.float64)
-
-    beyond = np.arange(*SUNK_CM, PLACE_CM)
-    stem, board = seen(-beyond, within), seen(-beyond, np.concatenate([-beside, beside]))
-    onwards, there = seen(beyond, within), seen(beyond, np.concatenate([-beside, beside]))
+    beyond, beside = np.arange(*SUNK_CM, PLACE_CM), np.arange(*SUNK_BESIDE_CM, PLACE_CM)
+    within, without = np.linspace(-SUNK_ASIDE_CM, SUNK_ASIDE_CM, 3), np.concatenate([-beside, beside])
+    stem, board, onwards, there = (
+        _about_end(flat, line, along, across, px_per_cm).astype(np.float64)
+        for along in (-beyond, beyond)
+        for across in (within, without)
+    )
     if min(map(len, (stem, board, onwards, there))) < LEAST_SUNK_PX:
         return False
     contrast = stem.mean(axis=0) - board.mean(axis=0)
@@ -189,6 +174,19 @@ def sinks(line: FloatArray, flat: Float32Array | None, px_per_cm: float) -> bool
     off, noise = (v @ (contrast / size) for v in (onwards, there))
     error = float(noise.std()) * math.sqrt(1.0 / len(off) + 1.0 / len(noise))
     return float(off.mean() - noise.mean()) > max(SUNK_SHARE * size, SUNK_ERRORS * error)
+
+
+def _about_end(
+    flat: Float32Array, line: FloatArray, along_cm: FloatArray, across_cm: FloatArray, px_per_cm: float
+) -> Float32Array:
+    """How the picture differs from the empty setup at places ahead of a line's end and beside it, those that lie in the
+    picture, each pixel of ``flat`` once, shape (n, 3)."""
+    ahead = heading_at_end(line, HEADING_CM * px_per_cm)
+    off = along_cm[:, None, None] * ahead + across_cm[None, :, None] * np.array([-ahead[1], ahead[0]])
+    places = np.rint((line[-1] + px_per_cm * off.reshape(-1, 2)) / COARSE).astype(int)
+    x, y = np.unique(places, axis=0).T
+    inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
+    return np.asarray(flat[y[inside], x[inside]], dtype=np.float32)
 
 
 def unseen(gap_cm: float) -> str:
