@@ -42,12 +42,27 @@ def test_an_apex_needs_to_be_less_likely_where_there_is_hardly_another(
 
 
 @pytest.mark.parametrize(
-    ("sure", "elsewhere", "believed"), [(0.31, 0.12, True), (0.32, 0.15, False), (0.36, 0.15, True), (0.2, 0.06, True)]
+    ("sure", "elsewhere", "by_itself", "of_two"),
+    [
+        (0.32, 0.07, True, True),
+        (0.32, 0.12, False, True),
+        (0.32, 0.14, False, False),
+        (0.64, 0.15, True, True),
+        (0.21, 0.0, False, False),
+    ],
 )
 def test_another_likely_apex_counts_against_one_of_which_nothing_is_known(
-    sure: float, elsewhere: float, believed: bool
+    sure: float, elsewhere: float, by_itself: bool, of_two: bool
 ) -> None:
-    assert along_way.is_believed(replace(way(sure), elsewhere=elsewhere), is_first=True) == believed
+    told = replace(way(sure), elsewhere=elsewhere)
+    assert along_way.is_believed(told, is_first=True) == by_itself
+    assert along_way.is_believed_of_two(told, is_first=True) == of_two
+
+
+def test_a_known_stem_may_have_another_likely_apex_where_the_rules_come_to_its_own() -> None:
+    told = replace(way(0.25), elsewhere=0.2)
+    assert along_way.is_believed_of_two(told, is_first=False)
+    assert not along_way.is_believed_of_two(told, is_first=True)
 
 
 def before(top_cm: float) -> Before:

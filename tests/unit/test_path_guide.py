@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from flora_common.arrays import FloatArray
-from flora_common.vision.path import along_way, convolutions, guide
+from flora_common.vision.path import convolutions, guide
 from flora_common.vision.path.convolutions import EXACT, HEAD, LAYERS, MOST, Layer, Network, convolved
 from flora_common.vision.path.evidence import Evidence
-from flora_common.vision.path.guide import Way
 from flora_common.vision.path.sampler import normals
 from guide.canvas import PX_PER_CM
 from guide.examples import Example
@@ -204,15 +203,6 @@ def test_a_stem_that_swung_is_found_again_and_one_that_is_gone_is_not_sure() -> 
         gone.append(guide.near(evidence, bowed(line, 2.0 * PX_PER_CM), PX_PER_CM).sure)
     assert np.median(moved_cm) < 0.06, "which was 0.2 cm off"
     assert np.median(sure) > 3.0 * np.median(gone)
-
-
-@pytest.mark.parametrize(("sure", "beyond_cm"), [(0.1, 0.0), (0.275, 0.02), (0.35, 0.04), (0.9, 0.04)])
-def test_a_sure_stem_ends_beyond_the_networks_apex_in_its_direction(sure: float, beyond_cm: float) -> None:
-    upright = np.column_stack([np.full(60, 50.0), np.arange(160.0, 100.0, -1.0)])
-    line = np.concatenate([upright, [[50.0 + 3.0 * k, 101.0 - 4.0 * k] for k in range(1, 8)]])
-    way = Way(line[-1], sure, line, np.ones(len(line)))
-    moved = (along_way.end_of(way, PX_PER_CM) - line[-1]) / PX_PER_CM
-    assert moved == pytest.approx([0.6 * beyond_cm, -0.8 * beyond_cm], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,14 @@ def test_a_tip_leaps_no_farther_than_plants_move_in_five_minutes(leapt_cm: float
     assert one.read(photograph(swaying(leapt_cm), 4), 4 * 300.0).outcome == outcome
 
 
+def test_a_stem_that_goes_elsewhere_and_comes_back_to_its_tip_jumped() -> None:
+    one = tracker()
+    read_all(one, [swaying(0.0)] * 4)
+    bulged = swaying(0.0) + np.column_stack([1.8 * np.sin(np.linspace(0.0, math.pi, 60)) ** 2, np.zeros(60)])
+    reading = one.read(photograph(bulged, 4), 4 * 300.0)
+    assert (reading.outcome, reading.reason) == ("jumped", "a part of the stem is 1.8 cm from where it was")
+
+
 def test_one_jump_is_forgotten() -> None:
     one = tracker()
     read_all(one, [swaying(-2.0)] * 3)
@@ -301,14 +309,15 @@ def test_a_camera_that_has_moved_is_told_by_how_much_though_a_pole_is_like_itsel
 @pytest.mark.parametrize(
     "covered", [(9.0, 0.0, -6.0), (-9.0, -9.0, -9.0)], ids=["of another colour", "a little darker"]
 )
+@pytest.mark.parametrize("ahead_cm", [0.15, 1.6])
 def test_what_stands_before_the_board_where_the_first_picture_s_stem_ends_may_hide_more(
-    covered: tuple[float, float, float],
+    covered: tuple[float, float, float], ahead_cm: float
 ) -> None:
     line = swaying(2.0)[:41]
     picture = photograph(line, 5)
     hand = picture.copy()
     x, y = (round(v) for v in np.array(ANCHOR) + line[-1] * np.array([SCALE, -SCALE]))
-    patch = np.s_[y - 40 : y - 3, x - 35 : x + 35]
+    patch = np.s_[y - round((ahead_cm + 2.0) * SCALE) : y - round(ahead_cm * SCALE), x - 35 : x + 35]
     hand[patch] = np.clip(photograph(None, 5)[patch] + np.array(covered), 0, 255).astype(np.uint8)
     first = tracker().read(hand, 0.0)
     assert (first.outcome, first.reason) == ("occluded", doubts.HIDES_MORE)

@@ -248,15 +248,18 @@ class Fitter:
 
     def _is_plain(self, way: Way, final: Stem, sight: Sight, sampler: Sampler, past: Past) -> bool:
         """Whether the end of a way is believed: it is likely, was plain to see before, or the rules come to it."""
-        if along_way.is_believed(way, is_first=past.before is None):
+        is_first = past.before is None
+        if along_way.is_believed(way, is_first=is_first):
             return True
         if way.sure >= along_way.SURE_AGAIN and past.followed.is_known and past.followed.is_near(final.line[-1]):
             return True
         other = self._by_chain(sight, sampler, past.before, past.memory)
         if isinstance(other, str) or not along_way.agrees(way, other.reached, self._scale):
             return False
-        if way.sure >= along_way.SURE_OF_TWO:
+        if along_way.is_believed_of_two(way, is_first=is_first):
             return True
+        if is_first:
+            return False
         assert other.chain is not None
         told = self._chain_judged(other.chain, other.reached, sight, sampler, past)
         return not (told.unsure or told.doubt)

@@ -23,8 +23,8 @@ class PathSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         longest_gap_cm: a stem is followed behind a leaf for this far.
         hidden_base_cm: the lowest part that a rim may hide, or that looks like what is behind it.
         below_anchor_cm: how far below the anchor's height a stem may hang. Soil and pot lie there.
-        jump_cm: a tip that moved by more than this, besides what ``fastest_cm_per_h`` allows, is reported as
-            ``jumped``.
+        jump_cm: where the tip or another part of the stem moved by more than this, besides what
+            ``fastest_cm_per_h`` allows, it is reported as ``jumped``.
         fastest_cm_per_h: how fast a tip may move.
         points: whether the ten points are even in height (``y``, the convention of ``track.csv``) or along the stem
             (``arc``).

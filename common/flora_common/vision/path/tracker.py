@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
-from flora_common.geometry import resample_by_height
+from flora_common.geometry import distance_to_polyline_cm, resample_by_height
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.path import along_way, doubts, guide, length, nearby
@@ -57,6 +57,8 @@ UNCERTAIN_TIP_MM: Final = 4.0
 BLUR_PX: Final = 2.0
 """A thin stem looks wider in a photograph, by lens, JPEG and smoothing."""
 FOLD_CM: Final = 0.15
+COMPARED_EVERY: Final = 8
+"""Of the points of a line, some px apart, one in so many is held against the line before."""
 EDGE_CM: Final = 0.2
 """A tip as near to the edge of the window as this lies on it."""
 
@@ -287,10 +289,14 @@ class PathTracker:
         if self._at_edge(stem.line[-1]):
             return TOUCHES_EDGE, "the tip lies on the edge of the window, the plant may go on beyond it"
         if self.memory is not None:
-            moved_cm = math.dist(stem.line[-1], self.memory.line_px[-1]) / scale
+            before_cm, now_cm = np.array(self.memory.line_px) / scale, stem.line / scale
             hours = max(0.0, time_s - self.memory.length.time_s) / 3600.0
-            if moved_cm > self.settings.jump_cm + self.settings.fastest_cm_per_h * hours:
+            most_cm = self.settings.jump_cm + self.settings.fastest_cm_per_h * hours
+            if (moved_cm := math.dist(now_cm[-1], before_cm[-1])) > most_cm:
                 return JUMPED, f"the tip is {moved_cm:.1f} cm from the one before"
+            # a line that goes over to another plant may come back to the tip
+            if (moved_cm := float(distance_to_polyline_cm(now_cm[::COMPARED_EVERY], before_cm).max())) > most_cm:
+                return JUMPED, f"a part of the stem is {moved_cm:.1f} cm from where it was"
         if seen < LEAST_SEEN:
             return OCCLUDED, f"only {seen:.0%} of the stem can be seen"
         if tip_mm > UNCERTAIN_TIP_MM:
