@@ -27,10 +27,10 @@ ALONE, ALONE_POWER, LEAST_ALONE = 0.12, 0.75, 0.5
 """Where the likeliest apex elsewhere is less likely than the first, the end need be less likely by that power of how
 much, and by the last at most."""
 FIRST_SHARE, FIRST_SHARE_OF_TWO = 0.25, 0.4
-"""With nothing known from pictures before, an apex elsewhere must be less likely than these shares of the end: where
-that is believed by itself, and where the rules come to it. The share tells more than how likely the end is: of 1,246
-plants that the network had not learnt from, and of ends likelier than 0.22, fewer than 5 in a hundred were wrong by
-more than 5 mm below the first share, 14 in a hundred between the two, and 37 in a hundred above."""
+"""With nothing known from pictures before, the end must be as likely as :data:`SURE_OF_TWO`, and an apex elsewhere have
+no more than these shares of that: where the end is believed by itself, and where the rules come to it. The share tells
+more than how likely the end is: of 1,246 plants that the network had not learnt from fewer than 5 in a hundred were
+wrong by more than 5 mm below the first share, 14 in a hundred between the two, and 37 in a hundred above."""
 SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 """The same where it is elsewhere than the apex that is followed and the network sees none there, for so many
 pictures."""
