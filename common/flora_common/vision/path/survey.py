@@ -257,7 +257,12 @@ def plant_score(difference: Float32Array) -> Float32Array:
     # one plane at a time: taking three apart takes longer than all the rest
     bright, green, yellow = (cv2.transform(difference, axis) for axis in _AXES[:, None])
     bright = cv2.max(bright, -DARK_WEIGHT * np.asarray(bright, dtype=np.float32))
-    return np.asarray(cv2.magnitude(cv2.magnitude(bright, green), yellow), dtype=np.float32)
+    # not cv2.magnitude: its last digits depend on where in memory the planes lie, and the same pictures must give the
+    # same bytes
+    square = np.asarray(bright * bright, dtype=np.float32)
+    for colour in (green, yellow):
+        square += colour * colour
+    return np.sqrt(square, out=square)
 
 
 def noise_of(score: Float32Array) -> float:
