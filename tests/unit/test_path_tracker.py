@@ -317,7 +317,7 @@ def test_what_stands_before_the_board_where_the_first_picture_s_stem_ends_may_hi
     picture = photograph(line, 5)
     hand = picture.copy()
     x, y = (round(v) for v in np.array(ANCHOR) + line[-1] * np.array([SCALE, -SCALE]))
-    patch = np.s_[y - round((ahead_cm + 2.0) * SCALE) : y - round(ahead_cm * SCALE), x - 35 : x + 35]
+    patch = np.s_[y - round((ahead_cm + 1.85) * SCALE) : y - round(ahead_cm * SCALE), x - 35 : x + 35]
     hand[patch] = np.clip(photograph(None, 5)[patch] + np.array(covered), 0, 255).astype(np.uint8)
     first = tracker().read(hand, 0.0)
     assert (first.outcome, first.reason) == ("occluded", doubts.HIDES_MORE)

@@ -77,7 +77,7 @@ def is_believed(way: Way, *, is_first: bool) -> bool:
         is_first: nothing is known from pictures before, so that an apex elsewhere counts against it, too.
     """
     if is_first:
-        return way.sure >= SURE_OF_TWO and way.elsewhere <= FIRST_SHARE * way.sure
+        return _stands_out(way, FIRST_SHARE)
     alone = min(1.0, (way.elsewhere / ALONE) ** ALONE_POWER)
     return bool(way.sure >= SURE * max(LEAST_ALONE, alone))
 
@@ -89,7 +89,12 @@ def is_believed_of_two(way: Way, *, is_first: bool) -> bool:
         way: to it.
         is_first: as in :func:`is_believed`.
     """
-    return way.sure >= SURE_OF_TWO and (not is_first or way.elsewhere <= FIRST_SHARE_OF_TWO * way.sure)
+    return _stands_out(way, FIRST_SHARE_OF_TWO if is_first else math.inf)
+
+
+def _stands_out(way: Way, share: float) -> bool:
+    """Whether the end of a way is likely, and any apex elsewhere has no more than a share of that."""
+    return way.sure >= SURE_OF_TWO and way.elsewhere <= share * way.sure
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
