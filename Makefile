@@ -15,7 +15,7 @@ DRAWN  ?= 26
 PER_WORLD ?= 5
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery discovery-gain paper guide pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery discovery-gain paper guide guide-ends pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z0-9-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -121,6 +121,9 @@ paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|fu
 
 guide: setup  ## make the network that tells stems and apices anew, in out/guide: five hours, or minutes with a graphics card; goes on where it was stopped
 	@$(BIN)/python tests/guide --out out/guide --jobs $(JOBS)
+
+guide-ends: setup  ## make the perceptron that tells how far off ends are anew, in out/ends: half an hour; goes on where it was stopped
+	@$(BIN)/python tests/guide/ends.py --out out/ends --jobs $(JOBS)
 
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)
 	@{ echo "# The versions that flora is tested with, all extras. \`make pins\` writes it from an environment that has them all."; \

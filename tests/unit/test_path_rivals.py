@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from flora_common.arrays import FloatArray
-from flora_common.vision.path import rivals
+from flora_common.vision.path import apex_error, rivals
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.rivals import AT_FIRST, Rivals
 
@@ -96,3 +98,39 @@ def test_the_top_of_a_hook_round_which_the_stem_goes_is_no_rival() -> None:
     assert later(known, faint, round_it[-1]).are_strong
     assert later(known, stem, round_it[2]).are_strong  # where the top is followed, the end is a rival
     assert later(None, stem, round_it[-1]).are_strong  # nothing but this picture tells
+
+
+HIDDEN, PLAIN = np.array([0.4, 0.3, 0.2, 0.1]), np.array([0.02, 0.01, 0.0, 0.0])
+
+
+def looked(before: Rivals | None, off: FloatArray | None, time_s: float) -> Rivals:
+    return rivals.after(before, [replace(way(TIP, 0.4), off=off)], TIP, time_s, SCALE)
+
+
+def test_an_end_that_leaves_may_hide_is_hidden_until_it_has_looked_otherwise_for_some_time() -> None:
+    state = looked(None, HIDDEN, 0.0)
+    assert state.off == pytest.approx(HIDDEN)
+    assert state.are_hidden
+    assert state.tip_error_cm == pytest.approx(apex_error.error_cm(HIDDEN))
+    state = looked(state, PLAIN, 300.0)
+    assert state.are_hidden
+    for k in range(2, 20):
+        state = looked(state, PLAIN, 300.0 * k)
+    assert not state.are_hidden
+    assert 0.0 < state.tip_error_cm < apex_error.error_cm(HIDDEN)
+    assert not looked(None, PLAIN, 0.0).are_hidden
+
+
+def test_what_was_not_looked_at_or_lies_elsewhere_changes_nothing() -> None:
+    assert looked(None, None, 0.0).off == (0.0,) * len(HIDDEN)
+    state = looked(None, HIDDEN, 0.0)
+    assert looked(state, None, 3600.0).off == state.off
+    elsewhere = replace(way(HOOK, 0.4), off=PLAIN)
+    assert rivals.after(state, [elsewhere, replace(way(TIP, 0.2), off=HIDDEN)], TIP, 3600.0, SCALE).are_hidden
+
+
+def test_of_two_reasons_the_greater_error_counts() -> None:
+    both = [replace(way(TIP, 0.3), off=HIDDEN), way(HOOK, 0.3 / AT_FIRST)]
+    state = rivals.after(None, both, TIP, 0.0, SCALE)
+    assert state.tip_error_cm == pytest.approx(max(0.5 * state.away_cm, apex_error.error_cm(HIDDEN)))
+    assert msgspec.msgpack.decode(msgspec.msgpack.encode(state), type=Rivals) == state

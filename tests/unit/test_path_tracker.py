@@ -13,7 +13,8 @@ from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, tip_error_mm
 
 from flora_common.errors import BadPicture
 from flora_common.vision.lamp_states import EmptySetup, from_background
-from flora_common.vision.path import doubts
+from flora_common.vision.path import apex_error, doubts
+from flora_common.vision.path.apex_error import LIMITS_CM
 from flora_common.vision.path.likeness import USUAL, Likeness, SetupLikeness
 from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
@@ -330,3 +331,42 @@ def test_noise_is_no_structure(noise: float) -> None:
     bare = [np.clip(90 + rng.normal(0, noise, (HEIGHT, WIDTH, 3)), 0, 255).astype(np.uint8) for _ in range(2)]
     like = from_background(bare[:1])
     assert replace(likeness(like, bare[1]), uneven=0.0) == Likeness()
+
+
+class Saying:
+    """A perceptron that says what it is told to."""
+
+    def __init__(self) -> None:
+        self.off = np.zeros(len(LIMITS_CM))
+
+    def chances(self, views: np.ndarray) -> np.ndarray:
+        assert views.shape[0] == 2
+        return self.off
+
+
+def test_what_surrounds_an_end_decides_whether_and_how_far_it_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a first picture alone; of a plant that was plain once, over an hour."""
+    saying = Saying()
+    monkeypatch.setattr(apex_error, "perceptron", lambda: saying)
+    plain = tracker().read(photograph(swaying(1.0)), 0.0)
+    saying.off = np.array([0.05, 0.03, 0.02, 0.01])
+    less_so = tracker().read(photograph(swaying(1.0)), 0.0)
+    saying.off = np.array([0.4, 0.3, 0.2, 0.1])
+    hidden = tracker().read(photograph(swaying(1.0)), 0.0)
+    assert (plain.outcome, less_so.outcome) == ("ok", "ok")
+    assert (hidden.outcome, hidden.reason) == ("occluded", doubts.HIDDEN_END)
+    said = []
+    for reading in (plain, less_so, hidden):
+        assert reading.uncertainty_mm is not None
+        said.append(float(reading.uncertainty_mm[-1]))
+    own_mm = said[0]
+    for off, mm in (([0.05, 0.03, 0.02, 0.01], said[1]), ([0.4, 0.3, 0.2, 0.1], said[2])):
+        assert mm == pytest.approx(math.hypot(own_mm, 10.0 * apex_error.error_cm(np.array(off))), rel=0.02)
+
+    followed = tracker()
+    saying.off = np.zeros(len(LIMITS_CM))
+    followed.read(photograph(swaying(1.0)), 0.0)
+    saying.off = np.array([0.4, 0.3, 0.2, 0.1])
+    outcomes = [followed.read(photograph(swaying(1.0), k), 1200.0 * k).outcome for k in range(1, 10)]
+    assert outcomes[0] == "ok"
+    assert outcomes[-1] == "occluded"

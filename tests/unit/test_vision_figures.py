@@ -78,6 +78,23 @@ def test_outcomes_are_counted_apart() -> None:
     assert figures["distance_mean_mm"] == pytest.approx(22.0 / 3.0, abs=0.01)
 
 
+def test_what_a_method_says_of_its_tips_is_held_against_how_far_off_those_are_that_are_ok() -> None:
+    found = [
+        Found("ok", moved(UPRIGHT, 0.3), 2.0),
+        Found("ok", moved(UPRIGHT, 0.4), 1.0),  # 4 mm off, more than three times what it says
+        Found("occluded", moved(UPRIGHT, 2.0), 1.0),
+        Found("ok", moved(UPRIGHT, 1.2)),  # says nothing
+        Found("no_stem", None),
+    ]
+    figures = pooled([run_scores(np.arange(5) * 300, [UPRIGHT] * 5, found, range(5))])
+    assert figures["ok_rms_mm"] == pytest.approx(math.sqrt((3.0**2 + 4.0**2) / 2.0))
+    assert figures["said_rms_mm"] == pytest.approx(math.sqrt((2.0**2 + 1.0**2) / 2.0))
+    assert figures["beyond_percent"] == pytest.approx(50.0)
+    silent = pooled([run_scores([0], [UPRIGHT], [Found("ok", UPRIGHT)], [0])])
+    assert math.isnan(silent["ok_rms_mm"])
+    assert math.isnan(silent["beyond_percent"])
+
+
 def test_a_tip_exactly_10_mm_off_is_no_confident_failure() -> None:
     scores = run_scores([0], [UPRIGHT], [Found("ok", moved(UPRIGHT, 1.0))], [0])
     assert scores.confident == 0

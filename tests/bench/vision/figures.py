@@ -19,6 +19,8 @@ from flora_common.geometry import distance_to_polyline_cm
 
 SAMPLES: Final = 50
 CONFIDENT_TIP_MM: Final = 10.0
+MOST_ERRORS: Final = 3.0
+"""A tip farther off than so many of its own standard deviations is beyond them."""
 GROWTH_WINDOW_S: Final = 900.0
 FEW_RUNS: Final = 5
 RESAMPLES: Final = 300
@@ -31,11 +33,14 @@ FIGURES: Final = {
     "missing_percent": "missing %",
     "flagged_percent": "flagged %",
     "confident_percent": "confident failure %",
+    "ok_rms_mm": "tip of ok (RMS), mm",
+    "said_rms_mm": "as stated (RMS), mm",
+    "beyond_percent": "beyond 3 sd %",
     "jitter_mm": "jitter, mm",
     "same_percent": "same steps %",
     "growth_error_percent": "growth error %",
 }
-"""Names in the JSON file and heads in the table, in its order. All: less is better."""
+"""Names in the JSON file and heads in the table, in its order. All but what is stated: less is better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +50,12 @@ class Found:
     Attributes:
         outcome: its own word for it; ``ok`` where it trusts the stem.
         line_cm: the stem, shape (n, 2), n >= 2, anchor first, tip last; None where it gives none.
+        tip_error_mm: standard deviation of its end, as the method states it; None where it states none.
     """
 
     outcome: str
     line_cm: FloatArray | None
+    tip_error_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +69,8 @@ class RunScores:
         missing: frames without a stem.
         flagged: frames with a stem whose outcome is not ``ok``.
         confident: frames with outcome ``ok`` and a tip more than 10 mm off.
+        ok_mm: shape (n, 2): how far off the tips of frames with outcome ``ok`` are of which a standard deviation is
+            stated, and that.
         step_mm: shape (steps, 2): found minus true step of the tip, from each judged frame to the next of the run.
         same: steps in which the found tip stayed exactly where it was.
         growth_percent: found growth over true growth, less 100; NaN where an end of the run has no stem, or nothing
@@ -74,6 +83,7 @@ class RunScores:
     missing: int
     flagged: int
     confident: int
+    ok_mm: FloatArray
     step_mm: FloatArray
     same: int
     growth_percent: float
@@ -124,6 +134,7 @@ def run_scores(
         missing=len(judged) - len(lines),
         flagged=len(lines) - len(ok),
         confident=sum(off[i] > CONFIDENT_TIP_MM for i in ok),
+        ok_mm=np.array([(off[i], said) for i in lines if i in ok and (said := found[i].tip_error_mm)]).reshape(-1, 2),
         step_mm=np.array([tip[i + 1] - tip[i] for i in steps]).reshape(-1, 2),
         same=sum(bool((lines[i + 1][-1] == lines[i][-1]).all()) for i in steps),
         growth_percent=_growth_percent(np.asarray(times_s, dtype=np.float64), true_cm, lines, judged),
@@ -149,6 +160,7 @@ def pooled(runs: Sequence[RunScores]) -> dict[str, float]:
     distance = np.concatenate([run.distance_mm.ravel() for run in runs])
     tip = np.concatenate([run.tip_mm for run in runs])
     step = np.concatenate([run.step_mm for run in runs])
+    off, said = np.concatenate([run.ok_mm for run in runs]).T
     growth = np.array([run.growth_percent for run in runs])
     growth = np.abs(growth[np.isfinite(growth)])
 
@@ -163,6 +175,9 @@ def pooled(runs: Sequence[RunScores]) -> dict[str, float]:
         "missing_percent": percent(sum(run.missing for run in runs), frames),
         "flagged_percent": percent(sum(run.flagged for run in runs), frames),
         "confident_percent": percent(sum(run.confident for run in runs), frames),
+        "ok_rms_mm": math.sqrt(_mean(off**2)) if off.size else math.nan,
+        "said_rms_mm": math.sqrt(_mean(said**2)) if said.size else math.nan,
+        "beyond_percent": percent(int(np.count_nonzero(off > MOST_ERRORS * said)), len(off)),
         "jitter_mm": math.sqrt(_mean((step**2).sum(axis=1))) if step.size else math.nan,
         "same_percent": percent(sum(run.same for run in runs), len(step)),
         "growth_error_percent": _mean(growth),

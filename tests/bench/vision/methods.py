@@ -58,7 +58,8 @@ def path(camera: CameraSection, background: Sequence[bytes]) -> Reader:
         if reading.line_px is None:
             return Found(reading.outcome, None)
         off = np.asarray(reading.line_px, dtype=np.float64) - np.array(camera.anchor_px)
-        return Found(reading.outcome, off * np.array([1.0, -1.0]) / camera.px_per_cm)
+        error_mm = None if reading.uncertainty_mm is None else float(reading.uncertainty_mm[-1])
+        return Found(reading.outcome, off * np.array([1.0, -1.0]) / camera.px_per_cm, error_mm)
 
     return read
 

@@ -71,6 +71,12 @@ class Evidence:
         origin = self.origin_px[0] + columns.start, self.origin_px[1] + rows.start
         return replace(self, origin_px=origin, plant=self.plant[rows, columns], code=self.code[rows, columns])
 
+    def mirrored(self) -> Evidence:
+        """The same with its sides exchanged, in the same place."""
+        return replace(
+            self, plant=np.ascontiguousarray(self.plant[:, ::-1]), code=np.ascontiguousarray(self.code[:, ::-1])
+        )
+
     @property
     def least(self) -> float:
         """What has less evidence than this is noise."""

@@ -215,8 +215,8 @@ class Fitter:
         # with nothing known, rules by themselves follow a stem that crosses the plant's own, or a part of it
         if not told.unsure and (past.before is None or not along_way.agrees(way, final, self._scale)):
             return replace(told, unsure="its end does not look like an apex")
-        if not told.unsure and rivals.are_strong:
-            return replace(told, unsure=doubts.ANOTHER_PART)
+        if not told.unsure and (rivals.are_strong or rivals.are_hidden):
+            return replace(told, unsure=doubts.ANOTHER_PART if rivals.are_strong else doubts.HIDDEN_END)
         return told
 
     def _way_judged(
@@ -241,6 +241,8 @@ class Fitter:
         may_be_steady = not is_first or not doubts.sinks(final.line, sight.flat, scale)
         fades = doubts.fades(final, sampler, scale, may_be_steady=may_be_steady)
         unsure = fades or doubts.ends_in_leaf(final, sampler, scale) or unsure
+        if not unsure and rivals.are_hidden:
+            unsure = doubts.HIDDEN_END
         if not unsure and not self._is_plain(way, final, sight, sampler, past):
             unsure = "where it ends is not plain to see"
         doubt = doubts.doubt(final, sampler, scale, touching_cm=sight.touching_cm, above_cm=0.0)

@@ -9,21 +9,20 @@ millimetre or two; edges are measured along it as along any other.
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from flora_common.arrays import BoolArray, Float32Array, FloatArray
 from flora_common.geometry import arc_length, heading_at_end
+from flora_common.vision.path import apex_error
 from flora_common.vision.path.apex import SECTION_CM, drawn_to
+from flora_common.vision.path.cheapest_ways import IndexArray, cheapest_ways
 from flora_common.vision.path.convolutions import HEAD, LAYERS, MOST, MULTIPLE, Layer, Network
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.sampler import normals, places_along, values_at
@@ -52,8 +51,6 @@ ELSEWHERE_CM: Final = 0.7
 """An apex farther than this from another place is not the one there."""
 MOST_APICES, LEAST_SHARE = 5, 0.3
 """So many places are compared, and none that is less likely than this share of the likeliest."""
-DEAREST: Final = 900.0
-"""Cost of a way of 30 cm with a gap of 2.4 cm; what is not reached for that is no apex of this plant."""
 WEAKEST_OVER: Final = 13
 """Steps of a way over which its likelihood is averaged: 2 cm."""
 _EVEN: Final = np.full(2 * SMOOTHED_OVER + 1, 1.0 / (2 * SMOOTHED_OVER + 1))
@@ -68,7 +65,6 @@ STRAIGHT_ON_CM, STRAIGHT_ON_SHARE = 0.7, 0.4
 """An apex as far beyond another one and at least that share as likely makes that one doubtful."""
 PLAIN_ALONG: Final = 0.4
 """A known stem is as sure as its apex where its way is likelier than this."""
-IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +78,8 @@ class Way:
         along: how likely the steps of the cheapest way there are the stem's middle; empty of a known stem that is only
             drawn to its apex.
         elsewhere: 0..1, how likely an apex is anywhere else, where no way may lead and no peak need be.
+        off: shape (limits,), the chances that the stem ends farther off than each of
+            :data:`flora_common.vision.path.apex_error.LIMITS_CM`; None where that was not looked at.
     """
 
     tip_px: FloatArray
@@ -89,6 +87,7 @@ class Way:
     line_px: FloatArray
     along: FloatArray
     elsewhere: float = 0.0
+    off: FloatArray | None = None
 
 
 @cache
@@ -122,6 +121,7 @@ class Maps:
         padded = np.pad(seen, ((0, 0), *((0, -v % MULTIPLE) for v in size[::-1])), mode="edge")
         logits = network()(padded)[:, : (size[1] + 1) // 2, : (size[0] + 1) // 2]
         self.stem, self.apex = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+        self._seen = seen
         self._step = np.array([width / size[0], height / size[1]]) * 2.0
         self._origin = np.array(evidence.origin_px, dtype=np.float64)
 
@@ -137,6 +137,25 @@ class Maps:
         """How likely places (..., 2) of the full picture are the stem's middle, linear between pixels, 0 outside."""
         places = self.from_px(places_px)
         return values_at(self.stem.astype(np.float32), places[..., 0], places[..., 1])
+
+    def views(self, line_px: FloatArray, along: FloatArray, sure: float, elsewhere: float) -> FloatArray:
+        """What is seen from the end of a line, see :func:`.apex_error.views_of`.
+
+        Args:
+            line_px: from the anchor, shape (n, 2), px of the full picture.
+            along: how likely its steps are the stem's middle.
+            sure, elsewhere: how likely an apex is at its end, and anywhere else at most.
+        """
+        line = self.from_px(line_px)
+        return apex_error.views_of(self._planes, line, along, sure, elsewhere, 0.5 * INPUT_PX_PER_CM)
+
+    @cached_property
+    def _planes(self) -> Float32Array:
+        """What the network was shown, and its maps, the apex' as logarithm; shape (height, width, CHANNELS + 2)."""
+        height, width = self.stem.shape
+        seen = cv2.resize(self._seen.transpose(1, 2, 0), (width, height), interpolation=cv2.INTER_AREA)
+        apex = cv2.dilate(np.log(np.maximum(apex_error.LEAST, self.apex)), np.ones((3, 3), np.uint8))
+        return np.dstack([seen, self.stem, apex]).astype(np.float32)
 
     def peaks(self) -> list[tuple[int, int]]:
         """The likeliest apices, rows and columns, likeliest first."""
@@ -233,7 +252,7 @@ def ways(maps: Maps, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]
     ends = maps.peaks()
     band = cv2.dilate(maps.stem, np.ones((3, 3), np.uint8))
     found = []
-    for end, way in zip(ends, _cheapest_ways(1.0 / (maps.stem + OFF_STEM), start, ends), strict=True):
+    for end, way in zip(ends, cheapest_ways(1.0 / (maps.stem + OFF_STEM), start, ends), strict=True):
         if way is None:
             found.append(Way(maps.about(end), 0.0, np.stack([anchor, maps.about(end)]), np.zeros(2)))
             continue
@@ -241,11 +260,13 @@ def ways(maps: Maps, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]
         tip = maps.about(end)
         line = _evened(maps.to_px(_centred(maps.stem, way)), tip, anchor)
         elsewhere = maps.likeliest_beyond(tip, ELSEWHERE_CM * px_per_cm)
-        found.append(Way(tip, float(maps.apex[end]) * _weakest(along), line, along, elsewhere))
+        sure = float(maps.apex[end]) * weakest(along)
+        off = apex_error.perceptron().chances(maps.views(line, along, sure, elsewhere))
+        found.append(Way(tip, sure, line, along, elsewhere, off))
     return tuple(sorted(found, key=lambda one: -one.sure))
 
 
-def _weakest(along: FloatArray) -> float:
+def weakest(along: FloatArray) -> float:
     """How likely a way is the stem's where it is least likely, its lowest part left out, which a rim may hide."""
     part = min(len(along), WEAKEST_OVER)
     means = np.convolve(along, np.ones(part) / part, mode="valid")
@@ -264,7 +285,7 @@ def near(evidence: Evidence, line_px: FloatArray, px_per_cm: float) -> Way:
     pixel = maps.nearest_peak(line_px[-1], NEAR_CM * px_per_cm)
     tip = maps.about(pixel)
     line, along = in_middle(maps, drawn_to(line_px, tip, SECTION_CM * px_per_cm), px_per_cm)
-    sure = float(maps.apex[pixel]) * min(1.0, _weakest(along) / PLAIN_ALONG)
+    sure = float(maps.apex[pixel]) * min(1.0, weakest(along) / PLAIN_ALONG)
     return Way(tip, 0.0 if _goes_on(maps, pixel, line, px_per_cm) else sure, line, along)
 
 
@@ -346,41 +367,3 @@ def _evened(line: FloatArray, tip: FloatArray, anchor: FloatArray) -> FloatArray
     smooth = np.column_stack([np.convolve(padded[:, k], kernel, mode="valid") for k in range(2)])
     smooth[0], smooth[-1] = anchor, tip
     return smooth
-
-
-def _cheapest_ways(
-    cost: FloatArray, start: tuple[int, int], ends: Sequence[tuple[int, int]]
-) -> list[IndexArray | None]:
-    """The cheapest ways from pixel to neighbouring pixel to some ends, each of shape (n, 2), rows and columns; None to
-    those that are too dear."""
-    stride = cost.shape[1] + 2
-    padded = np.pad(cost, 1, constant_values=math.inf).ravel().tolist()
-    first, *last = ((row + 1) * stride + column + 1 for row, column in (start, *ends))
-    least, before = {first: 0.0}, {first: first}
-    waiting, done, sought = [(0.0, first)], set[int](), set(last)
-    neighbours = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
-    steps = [(down * stride + right, 0.5 * math.hypot(down, right)) for down, right in neighbours]
-    while waiting and sought:
-        so_far, here = heapq.heappop(waiting)
-        if so_far > DEAREST:
-            break
-        if here in done:
-            continue
-        done.add(here)
-        sought.discard(here)
-        for step, half in steps:
-            there = here + step
-            further = so_far + half * (padded[here] + padded[there])
-            if further < least.get(there, math.inf):
-                least[there], before[there] = further, here
-                heapq.heappush(waiting, (further, there))
-    found: list[IndexArray | None] = []
-    for end in last:
-        if end in sought:
-            found.append(None)
-            continue
-        way = [end]
-        while way[-1] != first:
-            way.append(before[way[-1]])
-        found.append(np.column_stack(np.divmod(np.array(way[::-1], dtype=np.intp), stride)) - 1)
-    return found

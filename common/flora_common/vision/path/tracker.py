@@ -34,6 +34,7 @@ from flora_common.vision.path.memory import (
 from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.rivals import after as rivals_after
 from flora_common.vision.path.sampler import Sampler
+from flora_common.vision.path.second_look import confirmed
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
 from flora_common.vision.path.strands import plant_mask
@@ -211,7 +212,10 @@ class PathTracker:
                 fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
         final, apex = self._ended(fit.reached, fit.tip, followed, belief)
-        rivals = rivals_after(memory.rivals if memory else None, sight.ways, final.line[-1], time_s, scale)
+        ways = sight.ways
+        if before is None and fit.way is not None:
+            ways = tuple(confirmed(way, evidence, scale) if way is fit.way else way for way in ways)
+        rivals = rivals_after(memory.rivals if memory else None, ways, final.line[-1], time_s, scale)
         told = self._fitter.judged(fit, final, sight, sampler, past, rivals)
         doubt = told.doubt or self._doubt_of_start(sight, fit.chain, final)
         unsure = told.unsure
