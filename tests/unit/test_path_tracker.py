@@ -14,9 +14,10 @@ from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, WIDTH, tip_error_mm
 from flora_common.errors import BadPicture
 from flora_common.vision.lamp_states import EmptySetup, from_background
 from flora_common.vision.path import apex_error, doubts
+from flora_common.vision.path import tracker as tracker_module
 from flora_common.vision.path.apex_error import LIMITS_CM
 from flora_common.vision.path.likeness import USUAL, Likeness, SetupLikeness
-from flora_common.vision.path.memory import Memory
+from flora_common.vision.path.memory import DOUBTS_BELIEVED, Memory
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.survey import Survey, Surveyor
 from flora_common.vision.path.tracker import PathTracker
@@ -370,3 +371,19 @@ def test_what_surrounds_an_end_decides_whether_and_how_far_it_is_believed(monkey
     outcomes = [followed.read(photograph(swaying(1.0), k), 1200.0 * k).outcome for k in range(1, 10)]
     assert outcomes[0] == "ok"
     assert outcomes[-1] == "occluded"
+
+
+def test_a_doubtful_start_is_believed_where_the_next_ones_are_no_clearer_and_begins_anew_where_it_is_told_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Dim:
+        def unmet(self, changed: float, likeness: Likeness) -> str:
+            return "dim"
+
+    monkeypatch.setattr(tracker_module, "OF_THE_FIRST", Dim())
+    one = tracker()
+    outcomes = [one.read(photograph(swaying(1.0), k), 300.0 * k).outcome for k in range(DOUBTS_BELIEVED)]
+    assert outcomes == ["occluded"] * (DOUBTS_BELIEVED - 1) + ["ok"]
+    one.memory = None
+    again = one.read(photograph(swaying(1.0), 9), 3000.0)
+    assert (again.outcome, again.reason) == ("occluded", "dim")

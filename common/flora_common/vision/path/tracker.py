@@ -94,11 +94,12 @@ class PathTracker:
 
     @property
     def memory(self) -> Memory | None:
-        """Of the pictures before; None at first. May be set, to go on from a stored reading."""
+        """Of the pictures before; None at first. May be set, to go on from a stored reading, or to begin anew."""
         return self._memory
 
     @memory.setter
     def memory(self, known: Memory | None) -> None:
+        self._doubtful_starts = 0
         self._memory = known if known is not None and known.reduction == self.seen.reduction else None
 
     def read(self, picture: Picture, time_s: float) -> StemReading:
@@ -179,7 +180,7 @@ class PathTracker:
         reading, after = self._told(final, state, evidence, "", "")
         if reading.outcome != OK:
             return None
-        self.memory = after
+        self._memory = after
         return reading
 
     def follow(self, sight: Sight, time_s: float) -> StemReading:
@@ -227,7 +228,7 @@ class PathTracker:
         kept = near if told.is_clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
         length_cm = fit.reached.length / scale
         state = State(belief, length_cm, followed, apex, kept, elsewhere, told.is_sure, told.petiole, rivals)
-        reading, self.memory = self._told(final, state, evidence, doubt, unsure)
+        reading, self._memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
     def _ended(self, stem: Stem, tip: Tip, followed: Followed, belief: LengthState) -> tuple[Stem, Apex | None]:
