@@ -1,9 +1,10 @@
 """Draw what the path method measures on the photographs of real plants that may lie beside this repository.
 
-    .venv/bin/python tests/bench/draw_real_tracks.py docs/images/real-tracks.png
+    .venv/bin/python tests/bench/draw_real_tracks.py docs/images/real-tracks.png --contact docs/images/real-bean.png
 
 The photographs are other people's, so the picture has lines only: the bean's stem in every tenth photograph, the apex
-of the swaying stalk beside its independent track, and the stalk that folds back, in every sixth.
+of the swaying stalk beside its independent track, and the stalk that folds back, in every sixth. The contact sheet has
+the bean's edges, as Canny (1986) finds them in every tenth photograph, below the stem that was found in it.
 """
 
 from __future__ import annotations
@@ -13,26 +14,34 @@ import csv
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import cv2
 import matplotlib
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from flora_common.tracks import read_track  # noqa: E402
+from flora_common.tracks import Track, read_track  # noqa: E402
 from real_photographs import BEAN, FOLDED, STALK, independent_apex_px  # noqa: E402
 
+ABOVE_PX, BELOW_PX, ASIDE_PX, LARGER = 90, 15, 55, 4
+"""The part of the bean's photographs that is shown, about the anchor, and how much larger."""
+EDGES: Final = 20, 50
+"""Canny's thresholds."""
 COLOURS: Final = {"left": "#c2185b", "right": "#1565c0"}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Draw the tracks of the photographs of real plants.")
     parser.add_argument("out", type=Path)
+    parser.add_argument("--contact", type=Path, metavar="FILE.png", help="the bean's contact sheet")
     options = parser.parse_args()
     missing = [str(plant.path) for plant in (BEAN, STALK, FOLDED) if not plant.path.exists()]
     if missing:
@@ -57,6 +66,8 @@ def main() -> int:
             tracks.append(read_track(out))
         with (Path(folder) / STALK.path.stem / "readings.csv").open() as file:
             readings = list(csv.DictReader(file))
+        with (Path(folder) / BEAN.path.stem / "readings.csv").open() as file:
+            outcomes = [row["outcome"] for row in csv.DictReader(file)]
     lines, lamps = tracks[0].points_cm * BEAN.px_per_cm, tracks[0].light
     for i in range(0, len(lines), 10):
         x, y = lines[i].T
@@ -85,7 +96,42 @@ def main() -> int:
         axes.set_xlabel("px from the anchor")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out, dpi=80)
+    if options.contact is not None:
+        options.contact.parent.mkdir(parents=True, exist_ok=True)
+        bean_sheet(tracks[0], outcomes).savefig(options.contact, dpi=80)
     return 0
+
+
+def bean_sheet(track: Track, outcomes: Sequence[str]) -> Figure:
+    """The bean's stem over the edges in every tenth of its photographs.
+
+    Args:
+        track: of all photographs, in their order.
+        outcomes: likewise.
+    """
+    photographs = sorted(BEAN.path.glob("*.[jp][pn]g"))
+    if not len(photographs) == len(track.points_cm) == len(outcomes):
+        raise SystemExit("draw_real_tracks: not every photograph of the bean has a stem")
+    shown = range(0, len(photographs), 10)
+    figure, axes = plt.subplots(2, -(-len(shown) // 2), figsize=(13, 5.6), layout="constrained")
+    x, y = (int(v) for v in BEAN.place[BEAN.place.index("--anchor") + 1].split(","))
+    for place in axes.flat:
+        place.axis("off")
+    for place, i in zip(axes.flat, shown, strict=False):
+        picture = cv2.imread(str(photographs[i]), cv2.IMREAD_GRAYSCALE)
+        part = picture[y - ABOVE_PX : y + BELOW_PX, x - ASIDE_PX : x + ASIDE_PX]
+        large = cv2.resize(part, None, fx=LARGER, fy=LARGER, interpolation=cv2.INTER_CUBIC)
+        edges = cv2.Canny(cv2.GaussianBlur(large, (0, 0), 0.5 * LARGER), *EDGES)
+        place.imshow(255 - edges // 2, cmap="gray", vmin=0, vmax=255, extent=(-ASIDE_PX, ASIDE_PX, -BELOW_PX, ABOVE_PX))
+        line = track.points_cm[i] * BEAN.px_per_cm
+        colour = COLOURS.get(track.light[i], "grey")
+        place.plot(*line.T, "-", color=colour, linewidth=1.5)
+        place.plot(*line[-1], "o", color=colour, markersize=4)
+        place.set_title(f"{i}: {outcomes[i]}", fontsize=9)
+    figure.suptitle(
+        "germinating bean: edges in every tenth photograph, and the stem (red: left lamp; blue: right lamp)", fontsize=9
+    )
+    return figure
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ AT_FIRST: Final = 1.4
 not learnt from its likeliest apex was wrong by more than 5 mm in 16 of a hundred where the next one had less than 0.4
 of its likelihood, and in 51 of a hundred else."""
 
-OFF_LIMIT, OFF_CHANCE = 1, 0.15
+OFF_LIMIT, OFF_CHANCE = 1, 0.25
 """Which of the limits an end must not be beyond, and the chance that it is from which on it is not believed."""
 
 
