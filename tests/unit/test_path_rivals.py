@@ -112,13 +112,25 @@ def test_an_end_that_leaves_may_hide_is_hidden_until_it_has_looked_otherwise_for
     assert state.off == pytest.approx(HIDDEN)
     assert state.are_hidden
     assert state.tip_error_cm == pytest.approx(apex_error.error_cm(HIDDEN))
-    state = looked(state, PLAIN, 300.0)
+    for k in range(1, 12):
+        state = looked(state, HIDDEN, 300.0 * k)
+    assert state.off == pytest.approx(HIDDEN)
+    state = looked(state, PLAIN, 3600.0)
     assert state.are_hidden
-    for k in range(2, 20):
+    for k in range(13, 24):
         state = looked(state, PLAIN, 300.0 * k)
     assert not state.are_hidden
     assert 0.0 < state.tip_error_cm < apex_error.error_cm(HIDDEN)
     assert not looked(None, PLAIN, 0.0).are_hidden
+
+
+def test_the_first_looks_count_alike() -> None:
+    """Else the first one would be most of the mean for an hour, however it came to look."""
+    state = looked(None, PLAIN, 0.0)
+    for k in range(1, 4):
+        state = looked(state, HIDDEN, 60.0 * k)
+    assert state.looks == 4
+    assert state.off == pytest.approx(0.25 * PLAIN + 0.75 * HIDDEN)
 
 
 def test_what_was_not_looked_at_or_lies_elsewhere_changes_nothing() -> None:

@@ -41,7 +41,9 @@ class Rivals(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         elsewhere: the same of the likeliest one that is not there.
         away_cm: how far from the stem's end that was, mean by likelihood.
         off: the chances that the stem ends farther off than each of
-            :data:`flora_common.vision.path.apex_error.LIMITS_CM`, means over :data:`LATELY_S`.
+            :data:`flora_common.vision.path.apex_error.LIMITS_CM`, means over :data:`LATELY_S`, of the first pictures
+            alike.
+        looks: how many whole pictures there have been.
     """
 
     time_s: float
@@ -49,6 +51,7 @@ class Rivals(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     elsewhere: float
     away_cm: float
     off: tuple[float, ...] = (0.0,) * len(apex_error.LIMITS_CM)
+    looks: int = 1
 
     @property
     def are_strong(self) -> bool:
@@ -102,5 +105,13 @@ def after(before: Rivals | None, ways: Sequence[Way], tip_px: FloatArray, time_s
     mean = before.elsewhere + new * (elsewhere - before.elsewhere)
     away = before.elsewhere * before.away_cm
     away += new * (elsewhere * away_cm - away)
-    off = before.off if not told else tuple((np.array(before.off) * (1.0 - new) + new * told[0]).tolist())
-    return Rivals(time_s, before.here + new * (here - before.here), mean, away / mean if mean > 0.0 else 0.0, off)
+    share = max(new, 1.0 / (before.looks + 1))
+    off = before.off if not told else tuple((np.array(before.off) * (1.0 - share) + share * told[0]).tolist())
+    return Rivals(
+        time_s,
+        before.here + new * (here - before.here),
+        mean,
+        away / mean if mean > 0.0 else 0.0,
+        off,
+        before.looks + 1,
+    )
