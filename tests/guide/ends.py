@@ -203,17 +203,7 @@ def report(ends: Ends, chance: FloatArray) -> None:
 
 def report_and_write(ends: Ends, out: Path) -> None:
     """Cross-validate, then learn from all and write it."""
-    chance = told_apart(ends)
-    np.savez(
-        out / "told.npz",
-        chance=chance,
-        off=ends.off_cm,
-        believed=ends.believed,
-        kind=ends.kind,
-        sure=ends.sure,
-        elsewhere=ends.elsewhere,
-    )
-    report(ends, chance)
+    report(ends, told_apart(ends))
     net = trained(ends, np.ones(len(ends.off_cm), np.bool_))
     with files.atomic_writer(out / WEIGHTS) as file:
         arrays = {one.name: getattr(net, one.name) for one in fields(net)}

@@ -32,7 +32,7 @@ ANGLES: Final = 12
 HEADING_CM, TURNS_CM = 0.7, (1.0, 2.0, 4.0)
 """Ahead is where the last piece of so much of the line leads; how much it turns is told over the others."""
 BELOW_CM, BELOW_STEP_CM, ASIDE_CM = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0), 0.3, (-0.3, 0.0, 0.3)
-"Places on the line so far from its end, and beside it; it leads where it does over the second."
+"""Places on the line so far from its end, and beside it; it leads where it does over the second."""
 LEAST: Final = 1e-4
 """Likelihoods are told by their logarithm, and none is less."""
 MOST_SPREADS, STEPS = 4.0, 64.0
