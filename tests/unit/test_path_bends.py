@@ -54,12 +54,19 @@ def test_a_tight_hook_is_followed_to_its_end(radius_cm: float, turn_rad: float) 
     assert tip_error_mm(reading, line) < 5.0  # a pixel of the network's maps is 1.7 mm
 
 
-def test_an_end_that_only_rules_find_is_not_believed_where_nothing_is_known() -> None:
+def test_an_end_that_only_rules_find_is_not_believed_unless_an_apex_was_seen_there_lately() -> None:
     line, one = hooked(7.0, 0.35, 1.6), tracker()
     seen = one.look(drawn(board(1), line))
-    sight = replace(seen, ways=tuple(replace(way, sure=0.05) for way in seen.ways))
-    assert one.follow(sight, 0.0).outcome == OCCLUDED
-    assert one.follow(replace(sight), 300.0).outcome == OK  # as it was before
+    faint = replace(seen, ways=tuple(replace(way, sure=0.05) for way in seen.ways))
+    assert one.follow(faint, 0.0).outcome == OCCLUDED
+    again = one.follow(replace(faint), 300.0)
+    assert (again.outcome, again.reason) == (OCCLUDED, doubts.NO_APEX)
+    one.memory = None
+    assert one.follow(replace(seen), 0.0).outcome == OK
+    assert one.follow(replace(faint), 300.0).outcome == OK
+    for k in range(2, 20):
+        last = one.follow(replace(faint), 300.0 * k)
+    assert (last.outcome, last.reason) == (OCCLUDED, doubts.NO_APEX)
 
 
 @pytest.mark.parametrize(("radius_cm", "turn_rad"), [(0.5, 2.6), (0.8, 2.6), (0.8, 3.0)])

@@ -55,6 +55,7 @@ LEAST_SUNK_PX: Final = 10
 BEGINS_ASIDE: Final = "it begins beside the anchor, as another plant does"
 HIDES_MORE: Final = "something stands before the board where it ends, and may hide more of it"
 ANOTHER_PART: Final = "another part of the plant may as well be the stem"
+NO_APEX: Final = "its end does not look like an apex"
 HIDDEN_END: Final = "it looks as if leaves hid where the stem ends"
 BEYOND_CM, BESIDE_CM, PLACE_CM = ((0.6, 1.6), (1.6, 2.6), (2.6, 3.6)), 1.0, 0.1
 """The board beyond an end: in which parts ahead, how far to either side, and how far apart it is looked at. Of 258 good

@@ -212,9 +212,10 @@ class Fitter:
         assert fit.chain is not None
         told = self._chain_judged(fit.chain, final, sight, sampler, past)
         way = along_way.chosen(sight.ways, past.before, self._scale)
-        # with nothing known, rules by themselves follow a stem that crosses the plant's own, or a part of it
-        if not told.unsure and (past.before is None or not along_way.agrees(way, final, self._scale)):
-            return replace(told, unsure="its end does not look like an apex")
+        # rules by themselves follow a stem that crosses the plant's own, or a part of it
+        looks_like_one = rivals.here >= along_way.USABLE and along_way.agrees(way, final, self._scale)
+        if not told.unsure and (past.before is None or not looks_like_one):
+            return replace(told, unsure=doubts.NO_APEX)
         if not told.unsure and (rivals.are_strong or rivals.are_hidden):
             return replace(told, unsure=doubts.ANOTHER_PART if rivals.are_strong else doubts.HIDDEN_END)
         return told
