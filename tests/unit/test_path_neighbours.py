@@ -74,8 +74,9 @@ def test_pieces_that_lie_in_a_ring_come_to_an_end() -> None:
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_line_that_steps_aside(side: float) -> None:
-    step = along((0.0, 0.0), (0.0, 4.0), (side * 1.8, 4.4), (side * 1.8, 9.0))
+@pytest.mark.parametrize("far_cm", [1.8, 2.6])
+def test_a_line_that_steps_aside(side: float, far_cm: float) -> None:
+    step = along((0.0, 0.0), (0.0, 4.0), (side * far_cm, 4.4), (side * far_cm, 9.0))
     assert goes_over(step, STRENGTH, [], CAMERA)
 
 
@@ -99,3 +100,11 @@ def test_another_stem_is_as_long_and_as_clear() -> None:
     assert not another_stem(line, STRENGTH, WIDTH_PX, [piece(along((2.0, 0.2), (2.1, 1.6)), 0.4 * STRENGTH)], CAMERA)
     assert not another_stem(line, STRENGTH, WIDTH_PX, [piece(along((2.0, 0.2), (2.1, 1.3)))], CAMERA)
     assert not another_stem(line, STRENGTH, WIDTH_PX, [piece(along((2.0, 1.2), (2.1, 2.6)))], CAMERA)
+
+
+def test_another_stem_may_be_hidden_in_part_and_need_not_be_as_clear_farther_up() -> None:
+    line, foot = along((0.0, 0.0), (0.0, 12.0)), along((2.0, 0.2), (2.0, 0.6))
+    upper, short = along((1.9, 1.2), (1.7, 2.4)), along((1.9, 1.2), (1.85, 1.7))
+    for rest, is_one in (([], False), ([piece(short)], False), ([piece(upper, 0.4 * STRENGTH)], True)):
+        assert another_stem(line, STRENGTH, WIDTH_PX, [piece(foot), *rest], CAMERA) is is_one
+    assert not another_stem(line, STRENGTH, WIDTH_PX, [piece(foot, 0.4 * STRENGTH), piece(upper)], CAMERA)
