@@ -303,6 +303,19 @@ def frozen(folder: Path) -> Path:
     return path
 
 
+def leaping(folder: Path) -> Path:
+    """Its clock is set on by two months on the way."""
+    path = folder / "leaping.csv"
+    folder.mkdir()
+    points = (
+        ",".join(f"0.0000,{y:.4f}" for y in np.linspace(0.0, 8.0 + 0.01 * row, STEM_POINTS)) for row in range(100)
+    )
+    times_s = (300 * row + (5_184_000 if row > 50 else 0) for row in range(100))
+    rows = (f"{time_s},left,{line}\n" for time_s, line in zip(times_s, points, strict=True))
+    path.write_text("".join([TRACK_HEADER + "\n", *rows]))
+    return path
+
+
 def missing(folder: Path) -> Path:
     return folder / "gone.csv"
 
@@ -313,6 +326,7 @@ MEASURED: list[tuple[Callable[[Path], Path], str]] = [
     (not_numbers, "plant21.csv line 41: "),
     (no_track_at_all, "notes.csv"),
     (missing, "gone.csv: no such run or track"),
+    (leaping, "leaping.csv: goes on for 1,448 h; 1,000 h are compared at most"),
     (frozen, "frozen.csv: no hour of it has enough photographs of a stem that moves; leave it out"),
 ]
 
@@ -402,6 +416,10 @@ def test_a_run_that_the_simulator_was_learned_from_is_neither_diagnosed_nor_held
     simulator = ("--simulator", diagnosed / "base.simulator")
     assert said in refused(capsys, *measured(runs), "--holdout", seen, *simulator, *out)
     assert said in refused(capsys, seen, *simulator, *out)
+    # an extended one is fitted to what was diagnosed
+    one, other = measured(runs)
+    extended = refused(capsys, one, "--holdout", other, "--simulator", diagnosed / "extended.simulator", *out)
+    assert f"{other}: the simulator was learned from this run" in extended
 
 
 def test_a_simulator_with_a_swing_of_its_own_is_no_start(

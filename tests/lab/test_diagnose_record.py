@@ -45,6 +45,15 @@ def test_a_stem_that_was_found_wrongly_is_left_out_and_told(by_cm: tuple[float, 
     assert clean.points_cm[rest].tobytes() == wrong.points_cm[rest].tobytes()
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3, 5])
+def test_a_turn_to_the_light_that_is_photographed_seldom_is_no_wrong_stem(seed: int) -> None:
+    """The tip is farther from those about it the longer ago these were."""
+    turning = run_of(seed, hours=48.0, step_s=1800.0)
+    assert cleaned(turning) == (turning, [])
+    wrong = moved(turning, [48], (0.0, 50.0))
+    assert hidden(wrong, cleaned(wrong)[0]) == [48]
+
+
 def test_several_of_them_are_counted() -> None:
     wrong = moved(run_of(1), [40, 41, 90, 250], (2.0, -1.0))
     clean, notes = cleaned(wrong)

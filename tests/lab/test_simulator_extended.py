@@ -17,6 +17,7 @@ from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.effects.effect import Effect
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.growing import DataRange, GrowingState
@@ -347,6 +348,19 @@ def test_whole_numbers_and_no_form_will_do(tmp_path: Path) -> None:
     assert again.extensions == (Extension("growth_rate", {"factor": 1.0}, 0),)
 
 
+@pytest.mark.parametrize("effect", [effect for effect in CATALOGUE if effect.forms and effect.where == "plant"])
+def test_whatever_a_search_may_find_can_be_read_again(tmp_path: Path, effect: Effect) -> None:
+    for parameter in effect.parameters:
+        ends = (parameter.low, parameter.high) if parameter.is_cyclic else map(parameter.value, parameter.reach)
+        for number, value in enumerate((*ends, parameter.most or parameter.high)):
+            values = {other.name: other.high for other in effect.parameters} | {parameter.name: value}
+            folder = tmp_path / f"{parameter.name}{number}"
+            written(folder, base(), extensions=[Extension(effect.name, values, 0)])
+            again = load(folder)
+            assert isinstance(again, RodSimulator)
+            assert again.extensions[0].parameters == values
+
+
 BAD: list[tuple[Extension, str]] = [
     (Extension("gravitropsm", {"factor": 1.5}), "no effect `gravitropsm`; did you mean `gravitropism`?"),
     (Extension("camera_roll", {"angle_deg": 2.0}), "effect `camera_roll` is one of the camera: correct the data"),
@@ -356,10 +370,11 @@ BAD: list[tuple[Extension, str]] = [
     (Extension("sag", {"amplitude": 0.5, "amplitud": 0.5}), "has no parameter `amplitud`; did you mean `amplitude`?"),
     (Extension("sag", {"amplitude": float("nan")}), "`amplitude` is nan; 0.2 to 2 are plausible"),
     (Extension("sag", {"amplitude": float("inf")}), "`amplitude` is inf"),
-    (Extension("sag", {"amplitude": 3.0}), "`amplitude` is 3; 0.2 to 2 are plausible, and a range twice as wide"),
+    (Extension("sag", {"amplitude": 3.2}), "`amplitude` is 3.2; 0.2 to 2 are plausible, and -0.7 to 3.08 are taken"),
+    (Extension("circumnutation", {"period_h": 1.7, "amplitude_cm": 21.0}), "`amplitude_cm` is 21; 0.3 to 3 are plau"),
     (Extension("gravitropism", {"factor": 0.0}), "`factor` is 0;"),
     (Extension("gravitropism", {"factor": -1.0}), "`factor` is -1;"),
-    (Extension("gravitropism", {"factor": 8.0}), "`factor` is 8;"),
+    (Extension("gravitropism", {"factor": 12.0}), "`factor` is 12;"),
     (Extension("sag", {"amplitude": 0.5}, 1), "effect `sag` has no form 1; it has 0 to 0"),
     (Extension("growth_rate", {"factor": 1.2}, -1), "effect `growth_rate` has no form -1; it has 0 to 1"),
 ]

@@ -98,10 +98,10 @@ def test_what_lies_between_two_places_is_left_out_with_its_light() -> None:
     assert lamps_of(run) == ["left", "dark", "dark", "both", "both"]
 
 
-def test_of_photographs_taken_twice_one_counts() -> None:
+def test_of_photographs_taken_twice_the_nearest_counts() -> None:
     run = in_steps(a_run([0, 10, 290, 300, 310, 600], ["dark", "left", "left", "right", "both", "dark"]))
-    assert rows_of(run) == [0, 2, 5]
-    assert lamps_of(run) == ["left", "dark"]
+    assert rows_of(run) == [0, 3, 5]
+    assert lamps_of(run) == ["right", "dark"]
 
 
 def test_covariates_are_those_in_the_middle_of_a_step_and_lines_over_gaps() -> None:

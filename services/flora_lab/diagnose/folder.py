@@ -33,7 +33,7 @@ from flora_lab.diagnose.work import Result
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator
 from flora_lab.simulator.remembering import RememberingSimulator
-from flora_lab.simulator.store import Extension, Provenance, TrackEntry, write_simulator
+from flora_lab.simulator.store import EXTENSION, Extension, Provenance, TrackEntry, write_simulator
 
 JSON_FILE: Final = "diagnosis.json"
 PAGE_FILE: Final = "report.html"
@@ -78,7 +78,8 @@ def _write_found(folder: Path, result: Result) -> None:
     elif result.mended is not None:
         _write_mended(folder / EXTENDED, result)
     elif result.extensions:
-        stored_base.write_known(folder / EXTENDED, start.simulator, start.known, start.provenance, result.extensions)
+        provenance = _and_from(start.provenance, result, EXTENSION)
+        stored_base.write_known(folder / EXTENDED, start.simulator, start.known, provenance, result.extensions)
     corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
     asked = result.diagnosis.next_experiment
     chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
@@ -88,9 +89,11 @@ def _write_found(folder: Path, result: Result) -> None:
 
 def _write_corrected(path: Path, result: Result) -> None:
     """A learned simulator beside which the mechanistic one adds what it lacks."""
-    simulator = result.corrected
+    simulator, judged = result.corrected, result.start.judged
     assert simulator is not None
-    _write_learned(path, simulator, result.start.provenance, simulator.extensions)
+    learned = () if judged is None else judged.info.provenance.track
+    provenance = msgspec.structs.replace(result.start.provenance, track=[*result.start.provenance.track, *learned])
+    _write_learned(path, simulator, _and_from(provenance, result, EXTENSION), simulator.extensions)
 
 
 def _write_mended(path: Path, result: Result) -> None:
@@ -98,14 +101,18 @@ def _write_mended(path: Path, result: Result) -> None:
     assert result.mended is not None
     assert result.start.judged is not None
     learned = result.start.judged.info.provenance
-    told = [TrackEntry(run.name, run.plant, run.sha256, "memory") for run in result.runs.tracks]
     extensions = [
         Extension(cause.effect, dict(cause.parameters), cause.form)
         for cause in result.diagnosis.causes
         if BY_NAME[cause.effect].where == "simulator"
     ]
-    provenance = msgspec.structs.replace(learned, track=[*learned.track, *told])
-    _write_learned(path, result.mended.simulator, provenance, extensions)
+    _write_learned(path, result.mended.simulator, _and_from(learned, result, "memory"), extensions)
+
+
+def _and_from(learned: Provenance, result: Result, part: str) -> Provenance:
+    """What a simulator was made from, where a part of it is from the runs that were diagnosed."""
+    told = [TrackEntry(run.name, run.plant, run.sha256, part) for run in result.runs.tracks]
+    return msgspec.structs.replace(learned, track=[*learned.track, *told])
 
 
 def _write_learned(

@@ -153,11 +153,11 @@ def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: b
 def _errors(run: Replayed, step_error_cm: Array, simulated_cm: Array) -> _Errors:
     off_mm = _MM * np.hypot(*np.moveaxis(run.measured_cm[:, -1] - simulated_cm[:, -1], -1, 0))
     at = {}
-    for hours in (*HORIZONS_H, run.time_h[-1]):
+    for when, hours in (*((f"{hours:g}h", hours) for hours in HORIZONS_H), (END, run.time_h[-1])):
         about = np.abs(run.time_h - hours) <= AROUND_H + 1e-9
         own = off_mm[about & np.isfinite(off_mm)]
         if hours <= run.time_h[-1] and len(own):
-            at[END if hours == run.time_h[-1] else f"{hours:g}h"] = own
+            at[when] = own
     return _Errors(_MM * np.hypot(*np.moveaxis(step_error_cm[:, -1], -1, 0)), at)
 
 

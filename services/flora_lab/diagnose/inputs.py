@@ -19,6 +19,8 @@ from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
 SHORTEST_H: Final = 6.0
+LONGEST_H: Final = 1000.0
+"""What is compared grows with the square of it; a clock that jumps by months makes a run as long."""
 FEWEST_REFERENCES: Final = 3
 
 
@@ -66,6 +68,11 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
         run, found = record.cleaned(in_steps(track, step_of(track.track.time_s)))
         if run.hours < SHORTEST_H:
             raise BadInput(f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed")
+        if run.hours > LONGEST_H:
+            raise BadInput(
+                f"{track.file}: goes on for {run.hours:,.0f} h; {LONGEST_H:,.0f} h are compared at most. "
+                "If a clock was set meanwhile, leave out the rows before or after"
+            )
         pairs = run.is_measured[1:] & run.is_measured[:-1]
         if not pairs.any() or not Scene(run, ExtendedLaw(run.lamps or LampsSection())).size:
             raise BadInput(f"{track.file}: no hour of it has enough photographs of a stem that moves; leave it out")

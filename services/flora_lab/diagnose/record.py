@@ -16,6 +16,9 @@ from flora_lab.simulator.measured import MeasuredRun
 GAP_H: Final = 0.5
 """A shorter gap is told by nobody."""
 _ABOUT_ROWS: Final = 7
+_OF_STEP_S: Final = 300.0
+"""The least that is far, below, is that of photographs so far apart in time: how far a turning tip is from the middle
+of those about it grows with the square of that."""
 _LEAST_JUMP_CM: Final = 0.6
 _JUMP_MADS: Final = 12.0
 _LEAST_KINK_CM: Final = 0.3
@@ -66,7 +69,7 @@ def _jumps(run: MeasuredRun) -> Array:
     half = _ABOUT_ROWS // 2
     around = _around(own)
     away = np.hypot(*(own - np.median(around, axis=-1)).T)
-    is_far = away > max(_LEAST_JUMP_CM, _JUMP_MADS * _usual(away))
+    is_far = away > max(_LEAST_JUMP_CM * _seldom(run), _JUMP_MADS * _usual(away))
     # A wide swing turns back within minutes, too, but smoothly: a parabola runs through it, and through no jump.
     parabolas = np.linalg.qr(np.vander(np.arange(_ABOUT_ROWS, dtype=np.float64) - half, 3))[0]
     rough = np.sqrt(np.mean((around - around @ parabolas @ parabolas.T) ** 2, axis=-1).sum(axis=-1))
@@ -85,8 +88,13 @@ def _kinks(run: MeasuredRun) -> Array:
         return out
     kink = np.diff(run.points_cm[rows, -3:, 0], n=2, axis=1)
     away = np.abs(kink - np.median(_around(kink), axis=-1))[:, 0]
-    out[rows] = away > max(_LEAST_KINK_CM, _KINK_MADS * _usual(away))
+    out[rows] = away > max(_LEAST_KINK_CM * _seldom(run), _KINK_MADS * _usual(away))
     return out
+
+
+def _seldom(run: MeasuredRun) -> float:
+    """By how much farther a swing leads from one photograph to the next than in five minutes, squared; 1 at least."""
+    return max(1.0, run.step_s / _OF_STEP_S) ** 2
 
 
 def _usual(away: Array) -> float:

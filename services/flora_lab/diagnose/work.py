@@ -35,7 +35,7 @@ from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Extension, Provenance, Stored, TrackEntry, read_stored, software
+from flora_lab.simulator.store import EXTENSION, Extension, Provenance, Stored, TrackEntry, read_stored, software
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
 
@@ -105,6 +105,10 @@ def start_from(
             :func:`flora_lab.simulator.store.read_stored`; or it was learned from runs that are diagnosed or held out.
     """
     stored = read_stored(simulator) if simulator is not None else None
+    if stored is not None:
+        seen = stored.info.provenance.track
+        check_unseen(runs, {track.sha256 for track in seen if track.part != EXTENSION})
+        check_unseen(held_out, {track.sha256 for track in seen})
     if reference is not None:
         told = read_reference(reference, runs)
         check_unseen(held_out, {track.sha256 for track in told.tracks})
@@ -121,8 +125,6 @@ def start_from(
                 "that was extended"
             )
         known = stored_base.read_known(stored)
-        for given in (runs, held_out):
-            check_unseen(given, {track.sha256 for track in stored.info.provenance.track})
         words = ", and extended with ".join(
             [f"{simulator.name}, learned from {known.base.runs} runs", *(e.effect for e in read.extensions)]
         )

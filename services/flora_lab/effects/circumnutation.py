@@ -40,6 +40,7 @@ EFFECT: Final = Effect(
             scale="linear",
             meaning="of the tip in the picture plane, middle to side",
             source="small in seedlings; 12 cm at 37 cm height",
+            most=20.0,
         ),
     ),
     forms=(act,),

@@ -40,6 +40,7 @@ class Parameter:
         least: how far from ``none`` a value must be to be worth a name. Of what shows strongly in every run, so little
             is within what no law is right to.
         usual: what it is where an extension does not tell it; None for a number that must be told.
+        most: what a simulator is extended with at most, where more may be found than a search would reach.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Parameter:
     starts: tuple[float, ...] = ()
     least: float = 0.0
     usual: float | None = None
+    most: float | None = None
 
     def coordinate(self, value: float) -> float:
         """In which the search moves: the logarithm on a ``log`` scale."""
@@ -73,6 +75,16 @@ class Parameter:
             return low - room, high + room
         none, room = self.coordinate(self.none), 0.6 * (high - low)
         return (none if none <= low else low - room), (none if none >= high else high + room)
+
+    @property
+    def taken(self) -> tuple[float, float]:
+        """Values between which a simulator may be extended: twice the plausible range, about its middle, or as far as
+        is searched, where that is farther."""
+        low, high = self.coordinate(self.low), self.coordinate(self.high)
+        room = 0.5 * (high - low)
+        ends = (low - room, high + room) if self.is_cyclic else self.reach
+        most = self.value(max(high + room, ends[1]))
+        return self.value(min(low - room, ends[0])), most if self.most is None else max(most, self.most)
 
     def is_worth_a_name(self, value: float) -> bool:
         """Whether a value is so far from none that it matters."""

@@ -69,21 +69,18 @@ def _effect_of(extension: Extension, where: str) -> Effect:
             raise BadInput(f"{told} lacks its parameter `{parameter.name}`")
         value = values[parameter.name]
         if not _is_thinkable(parameter, value):
+            low, high = parameter.taken
             raise BadInput(
                 f"{told}: `{parameter.name}` is {value:g}; {parameter.low:g} to {parameter.high:g} are plausible, and "
-                "a range twice as wide is taken"
+                f"{low:.3g} to {high:.3g} are taken"
             )
     return effect
 
 
 def _is_thinkable(parameter: Parameter, value: float) -> bool:
-    """Whether a value has no effect, or lies within twice the plausible range, about its middle."""
-    if value == parameter.none:
-        return True
-    if not np.isfinite(value) or (parameter.scale == "log" and value <= 0.0):
-        return False
-    low, high = parameter.coordinate(parameter.low), parameter.coordinate(parameter.high)
-    return abs(parameter.coordinate(value) - 0.5 * (low + high)) <= high - low
+    """Whether a value has no effect, or is one with which a simulator may be extended."""
+    low, high = parameter.taken
+    return value == parameter.none or (low <= value <= high and bool(np.isfinite(value)))
 
 
 def law_of(lamps: LampsSection, change: Change) -> TropismLaw:

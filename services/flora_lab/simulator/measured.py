@@ -126,7 +126,9 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     is_stem = polyline_length(track.points_cm) >= LEAST_CM
     if not is_stem[0]:
         raise BadInput(f"{run.where(0)}: the first stem is shorter than {10 * LEAST_CM:g} mm; leave such rows out")
-    rows = np.nonzero((np.abs(place - index) <= NEAR_SHARE) & is_stem)[0]
+    off = np.abs(place - index)
+    rows = np.nonzero((off <= NEAR_SHARE) & is_stem)[0]
+    rows = rows[np.argsort(off[rows], kind="stable")]  # of several in one step the nearest
     at, first = np.unique(index[rows], return_index=True)
     rows = rows[first]
     if not (np.diff(at) == 1).any():

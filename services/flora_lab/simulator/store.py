@@ -37,6 +37,9 @@ LEAST_STEP_S: Final = 1e-3
 """No camera is faster, and the times of a track are still counted in whole steps."""
 StepSeconds = Annotated[float, msgspec.Meta(ge=LEAST_STEP_S, le=1e9)]
 
+EXTENSION: Final = "extension"
+"""The part of runs that a simulator was extended by."""
+
 
 class TrackEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[[provenance.track]]``: a run that the simulator was made from, and what for."""
@@ -45,7 +48,8 @@ class TrackEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     plant: str
     sha256: Sha256
     part: str = "train"
-    """``train``, ``validate`` or ``test``; ``all`` where the paper's shuffled rows were split."""
+    """``train``, ``validate`` or ``test``; ``all`` where the paper's shuffled rows were split; ``memory`` or
+    ``extension`` where a diagnosis fitted these to it."""
 
 
 class Provenance(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
