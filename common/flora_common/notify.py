@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 from collections.abc import Mapping
+from typing import Final
+
+NO_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+"""Control characters and line separators: each line of the datagram is an order, and none must come from a status."""
+
+
+def _status(text: str) -> str:
+    """The line that tells a status."""
+    return f"STATUS={NO_TEXT.sub(' ', text)}"
 
 
 class Notifier:
@@ -32,19 +42,19 @@ class Notifier:
             return
         # While the manager restarts nobody listens: the next sign of life gets through, and no service must die of it.
         with contextlib.suppress(OSError):
-            self._socket.sendto(text.encode(), self._address)
+            self._socket.sendto(text.encode(errors="replace"), self._address)
 
     def ready(self, status: str) -> None:
-        self._send(f"READY=1\nSTATUS={status}")
+        self._send(f"READY=1\n{_status(status)}")
 
     def status(self, status: str) -> None:
-        self._send(f"STATUS={status}")
+        self._send(_status(status))
 
     def alive(self) -> None:
         self._send("WATCHDOG=1")
 
     def stopping(self, status: str) -> None:
-        self._send(f"STOPPING=1\nSTATUS={status}")
+        self._send(f"STOPPING=1\n{_status(status)}")
 
     def close(self) -> None:
         if self._socket is not None:

@@ -57,6 +57,7 @@ def rollback() -> None:
 def _switch(name: str) -> None:
     run_dir = _run_dir()
     if not (run_dir / "run.toml").is_file():
+        trial.TRIAL.unlink(missing_ok=True)  # an undecided one must not switch back at the next boot
         releases.switch(name)
         units.install_units(name)
         say(f"not started: {run_dir} has no run.toml yet; write {CONFIG} and the run folder, then")

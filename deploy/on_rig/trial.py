@@ -11,7 +11,7 @@ import subprocess
 from dataclasses import asdict, dataclass
 
 from machine import OPT, Failed, point, run, say, write_if_other
-from releases import CURRENT, PREVIOUS, discard, name_of, switch
+from releases import CURRENT, PREVIOUS, discard, is_complete, name_of, switch
 from units import CONFIRM, TARGET, install_units, ready_now, restart, states, wait_steady
 
 TRIAL = OPT / "trial.json"
@@ -42,16 +42,27 @@ class Trial:
 
 
 def begin(release: str) -> None:
-    """Switch to a release and put it on trial; :func:`decide` ends that."""
+    """Switch to a release and put it on trial; :func:`decide` ends that.
+
+    A trial that is undecided yet has proven nothing: what was there before it is still what to return to.
+    """
     before, earlier = name_of(CURRENT) or "", name_of(PREVIOUS) or ""
+    pending = _pending()
+    if pending is not None and is_complete(pending.before):
+        before, earlier = pending.before, pending.earlier
     now = states()
     unmasked = [name for name, state in now.items() if not state.is_masked]
     # Who was not well before need not be now: a broken camera is not the release's.
-    was_ready = [name for name in unmasked if now[name].is_ready]
+    was_ready = [name for name in unmasked if (name in pending.expected if pending else now[name].is_ready)]
     trial = Trial(release, before if before != release else "", earlier, was_ready or unmasked)
     write_if_other(TRIAL, json.dumps(asdict(trial)).encode())
     switch(release)
     install_units(release)
+
+
+def _pending() -> Trial | None:
+    """The trial that is undecided; None where there is none."""
+    return Trial(**json.loads(TRIAL.read_text(encoding="utf-8"))) if TRIAL.is_file() else None
 
 
 def decide_by_systemd() -> None:
@@ -75,9 +86,12 @@ def decide() -> None:
     Raises:
         Failed: it was not well.
     """
-    if not TRIAL.is_file():
+    trial = _pending()
+    if trial is None:
         return
-    trial = Trial(**json.loads(TRIAL.read_text(encoding="utf-8")))
+    # Once more: the power may have gone away in :func:`begin`, and what is judged must be the whole release.
+    switch(trial.release)
+    install_units(trial.release)
     restart()
     problem = _problem(trial.expected)
     if not problem:

@@ -186,7 +186,10 @@ class Beat:
                 self._zero_ns = min(self._zero_ns, tick.t_mono_ns - round(tick.time_s * NS))
 
     def is_recent(self, now: Reading) -> bool:
-        """Whether the last number was given out so lately that it can still be photographed."""
+        """Whether the last number was given out so lately that it can still be photographed.
+
+        A picture of the empty setup is outside the grid: it may be under way still, and is never lit a second time.
+        """
         if self.state.purpose == "background":
             return True
         return self.state.begun and self.time_s(now.mono_ns) - self.state.due_s < self._interval_s / 2

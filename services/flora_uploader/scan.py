@@ -33,11 +33,13 @@ class RunFolders:
         runs: run folders by name.
         clashes: left out because another one has the name already.
         unreadable: left out because they cannot be looked at, and why; by every name that they may have.
+        unnameable: left out because their names are not UTF-8 text; told as Python shows them.
     """
 
     runs: dict[str, Path]
     clashes: list[str]
     unreadable: dict[str, str]
+    unnameable: list[str]
 
 
 def is_run_folder(path: Path) -> bool:
@@ -70,7 +72,7 @@ def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
         pass  # nothing has run yet
     except OSError as problem:
         raise SpoolUnreadable(f"{runs_dir}: the spool cannot be listed ({problem.strerror})") from problem
-    found = RunFolders({}, [], {})
+    found = RunFolders({}, [], {}, [])
     for candidate in candidates:
         path = real_path(candidate)
         if path in found.runs.values():
@@ -79,9 +81,14 @@ def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
             if not is_run_folder(path):
                 continue
         except SpoolUnreadable as problem:  # on a dead mount or a bad sector: the others are not held up
-            found.unreadable.update(dict.fromkeys((candidate.name, path.name), str(problem)))
+            if is_text(path.name):
+                found.unreadable.update(dict.fromkeys((candidate.name, path.name), str(problem)))
+            else:
+                found.unnameable.append(repr(path.name))
             continue
-        if path.name in found.runs:
+        if not is_text(path.name):  # the ledger cannot take it: the others are not held up
+            found.unnameable.append(repr(path.name))
+        elif path.name in found.runs:
             found.clashes.append(f"{found.runs[path.name]} and {path}")
         else:
             found.runs[path.name] = path
@@ -113,7 +120,7 @@ def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
                     if not is_of_record(entry.name):
                         continue
                     path = f"{inner}/{entry.name}" if inner else entry.name
-                    if not _is_text(path):
+                    if not is_text(path):
                         unnameable.append(repr(path))
                     elif entry.is_dir(follow_symlinks=False):
                         if depth < MAX_DEPTH:
@@ -158,7 +165,8 @@ def hashes_of_photographs(run: Path) -> dict[str, str]:
     return {path: sha256 for path, sha256 in announced.items() if is_photograph(path)}
 
 
-def _is_text(name: str) -> bool:
+def is_text(name: str) -> bool:
+    """Whether a name is UTF-8 text, so that ledger and messages can hold it."""
     try:
         name.encode()
     except UnicodeEncodeError:

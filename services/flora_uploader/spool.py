@@ -59,6 +59,8 @@ class Spool:
             folder = scan.real_path(self._run_dir)
             if run not in (folder.name, self._run_dir.name) or not scan.is_run_folder(folder):
                 return
+            if not scan.is_text(folder.name):  # a link to it may have a name that is
+                return
             self.runs[folder.name] = folder
         if not all(is_of_record(part) for part in Path(path).parts):
             return
@@ -79,6 +81,7 @@ class Spool:
             return False
         self._conditions.clear("spool")
         self._take(found)
+        unnameable += found.unnameable
         yield
         present = scan.real_path(self._run_dir).name
         for name, folder in sorted(self.runs.items(), key=lambda item: item[0] != present):
@@ -91,7 +94,7 @@ class Spool:
         self._tell_of_unreadable(found)
         if everything:
             self._give_up_on_runs_that_are_gone(found)
-            text = f"{len(unnameable)} files have names that are not UTF-8 text and are not sent: "
+            text = f"{len(unnameable)} files or run folders have names that are not UTF-8 text and are not sent: "
             self._conditions.set("unnameable", text + unnameable[0] if unnameable else "")
         return True
 

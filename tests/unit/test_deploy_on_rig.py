@@ -270,6 +270,44 @@ def test_a_trial_that_was_interrupted_is_decided_later(rig: OnRig, judged: Calla
     assert rig.releases.name_of(rig.releases.CURRENT) == "2"
 
 
+@pytest.mark.parametrize("second", ["3", "4"])
+def test_an_install_before_the_last_one_was_decided_still_returns_to_what_was_well(
+    rig: OnRig, judged: Callable[..., None], monkeypatch: pytest.MonkeyPatch, second: str
+) -> None:
+    rig.release("4", a="of 4")
+    rig.trial.restart = _interrupt
+    with pytest.raises(KeyboardInterrupt):
+        judged("")
+    rig.trial.restart = lambda: None
+    monkeypatch.setattr(rig.trial, "states", lambda: {"flora-led": rig.units.State(False, False, 9, "0"),
+                                                      "flora-stem": rig.units.State(False, True, 0, "6")})  # fmt: skip
+    rig.trial.begin(second)
+    assert json.loads(rig.trial.TRIAL.read_text()) == {
+        "release": second, "before": "2", "earlier": "1", "expected": ["flora-led"],
+    }  # fmt: skip
+    told = iter(("it hangs", ""))
+    monkeypatch.setattr(rig.trial, "_problem", lambda expected: next(told))
+    with pytest.raises(rig.machine.Failed, match=r"2 runs again, and is well"):
+        rig.trial.decide()
+    assert rig.releases.name_of(rig.releases.CURRENT) == "2"
+    assert rig.releases.name_of(rig.releases.PREVIOUS) == "1"
+    assert unit_text(rig) == "of 2"
+
+
+@pytest.mark.parametrize("cut", ["switch", "install_units"])
+def test_a_switch_that_a_power_cut_ended_halfway_is_ended_before_it_is_judged(
+    rig: OnRig, judged: Callable[..., None], monkeypatch: pytest.MonkeyPatch, cut: str
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.trial, cut, lambda _: _interrupt())
+        with pytest.raises(KeyboardInterrupt):
+            judged("")
+    rig.trial.decide()
+    assert rig.releases.name_of(rig.releases.CURRENT) == "3"
+    assert rig.releases.name_of(rig.releases.PREVIOUS) == "2"
+    assert unit_text(rig) == "of 3"
+
+
 def test_a_release_that_ran_before_is_not_removed_where_going_back_to_it_fails(
     rig: OnRig, judged: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -461,6 +461,26 @@ def test_a_restart_does_not_take_a_steps_picture_twice(rig: Callable[..., Rig]) 
     assert again.heard(Tick) == []
 
 
+def test_a_restart_does_not_light_a_picture_of_the_empty_setup_without_a_setup_run(rig: Callable[..., Rig]) -> None:
+    r = rig(wait_for_background=True)
+    first = r.start(setup(1), setup_lamps(1))
+    first.hear(
+        FrameMissed(tick=1, time_s=0.0, because="camera_gone", reason="x", purpose="background", shot="left.jpg")
+    )
+    r.clock.advance(86_400.0)
+    again = r.start()  # after a power cut the bus has kept nothing
+    again.pass_s(1000.0)
+    assert (again.said, r.lamp.on) == ([], False)
+
+
+def test_a_live_setup_run_gets_its_picture_after_a_restart_as_a_new_tick(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    first = r.start(setup(1), setup_lamps(1))
+    again = r.start(first.heard(Tick)[-1], setup(1), setup_lamps(1))  # killed before the lamp was lit
+    assert [(t.tick, t.purpose) for t in again.heard(Tick)] == [(2, "background")]
+    assert [(f.tick, f.lit) for f in again.heard(Flash)] == [(2, True)]
+
+
 def test_the_beat_can_wait_for_pictures_of_the_empty_setup(rig: Callable[..., Rig], tmp_path: Path) -> None:
     app = rig(wait_for_background=True).start()
     app.pass_s(1000.0)

@@ -36,6 +36,18 @@ def test_says_ready_status_alive_and_stopping(systemd: tuple[socket.socket, str]
     notifier.close()
 
 
+def test_a_status_is_one_line_whatever_is_in_it(systemd: tuple[socket.socket, str]) -> None:
+    heard, path = systemd
+    notifier = Notifier({"NOTIFY_SOCKET": path})
+    status = "x\r\nWATCHDOG_USEC=1\x00\x1b\x85STOPPING=1\u2028\u2029y \udcff"
+    notifier.ready(status)
+    notifier.status(status)
+    notifier.stopping(status)
+    line = b"STATUS=x WATCHDOG_USEC=1 STOPPING=1 y ?"
+    assert [heard.recv(200) for _ in range(3)] == [b"READY=1\n" + line, line, b"STOPPING=1\n" + line]
+    notifier.close()
+
+
 def test_abstract_addresses_work() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
         heard.bind("")  # the kernel picks an abstract name

@@ -474,6 +474,19 @@ def test_names_that_are_no_text_are_told(bench: Bench) -> None:
     assert bench.uploader.waiting == 0
 
 
+def test_a_run_folder_whose_name_is_no_text_is_told_and_the_others_go_on(bench: Bench) -> None:
+    other = Path(os.fsdecode(os.fsencode(bench.run.parent) + b"/bean-\xff"))
+    (other / "frames").mkdir(parents=True)
+    (other / "run.toml").write_bytes((bench.run / "run.toml").read_bytes())
+    (other / "frames" / "000001.jpg").write_bytes(b"x")
+    file = bench.write("notes.txt", b"a" * 100)
+    bench.work()
+    assert bench.there("notes.txt") == file.read_bytes()
+    sentence = bench.uploader.conditions.sentence()
+    assert "1 files or run folders have names that are not UTF-8" in sentence
+    assert "bean-" in sentence.encode().decode()
+
+
 def test_the_spools_disk_is_watched(bench: Bench) -> None:
     bench.work()
     assert bench.uploader.conditions.sentence() == ""
