@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Final, Literal
 
-from flora_lab.outputs import beginning
+from flora_common.outputs import beginning
 
 STYLE = """
 :root { color-scheme: light; }

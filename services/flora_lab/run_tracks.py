@@ -79,7 +79,11 @@ def load_run(path: Path) -> RunTrack:
     folder = RunFolder(path)
     if not folder.track_csv.is_file():
         inner = any(path.glob("*/track.csv"))
-        hint = f"; name the runs in it: {path}/*" if inner else f"; make it with `flora-lab track {path}`"
+        hint = (
+            f"; name the runs in it: {path}/*"
+            if inner
+            else f"; make it with `flora-lab track {path} -o {folder.track_csv}`"
+        )
         raise BadInput(f"{path}: holds no track.csv{hint}")
     name = files.shown(path.resolve().name)
     run_file = folder.read_run_file() if folder.run_toml.exists() else None

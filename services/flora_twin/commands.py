@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.outputs import can_be_made, must_be_new
+from flora_common.outputs import check_file, is_picture, is_track, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
@@ -100,7 +99,7 @@ def picture(
     force: Force = False,
 ) -> None:
     """Take one photograph of a plant that grew under a light schedule."""
-    _must_be_new_file(output, force=force)
+    check_file(output, force=force, is_ours=is_picture, what="a picture")
     if output.suffix.lower() not in {".jpg", ".jpeg", ".png"}:
         raise BadInput(f"{output}: a picture ends in .jpg or .png")
     if not 0.0 <= hours <= 400.0:
@@ -130,17 +129,9 @@ def grow_track(
     force: Force = False,
 ) -> None:
     """Grow a plant without pictures and write its track."""
-    _must_be_new_file(output, force=force)
+    check_file(output, force=force, is_ours=is_track, what="a track")
     track = grow(seed, schedule, hours)
     files.write_text(output, track_text(track.time_s, track.light, track.points_cm))
-
-
-def _must_be_new_file(output: Path, *, force: bool) -> None:
-    if output.is_dir():
-        raise BadInput(f"{output}: is a folder; name a file with -o")
-    if os.path.lexists(output) and not force:
-        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
-    can_be_made(output)
 
 
 def grow_runs(

@@ -152,10 +152,13 @@ def test_an_output_that_is_there_is_kept_unless_told_otherwise_and_the_input_alw
     out.write_text("mine")
     key = ["--key", pair / "flora.key"]
 
-    assert "is there already" in refused(capsys, "sign", source, *key, "-o", out)
+    assert "is not a controller file and is not replaced" in refused(capsys, "sign", source, *key, "-o", out, "--force")
+    assert out.read_text() == "mine"
+    out.write_text("{}")
+    assert "is there already; name another" in refused(capsys, "sign", source, *key, "-o", out)
     assert "is the unsigned file itself" in refused(capsys, "sign", source, *key, "-o", source, "--force")
     assert "name ends in .controller.json" in refused(capsys, "sign", source, *key, "-o", tmp_path / "out.json")
-    assert (out.read_text(), source.read_bytes()) == ("mine", TIP_ONLY.read_bytes())
+    assert (out.read_text(), source.read_bytes()) == ("{}", TIP_ONLY.read_bytes())
     assert main(["sign", str(source), *map(str, key), "-o", str(out), "--force", "--serial", "3"]) == 0
     assert load_controller(out).file.serial == 3
 

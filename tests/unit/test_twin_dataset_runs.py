@@ -211,9 +211,23 @@ def test_a_folder_in_place_of_a_file_is_told_with_force_too(
 
 def test_a_file_is_replaced_with_force_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     track = tmp_path / "track.csv"
-    track.write_text("mine")
+    assert main(["grow", "-o", str(track), "--hours", "2"]) == 0
+    kept = track.read_bytes()
     assert main(["grow", "-o", str(track), "--hours", "1"]) == 2
     assert "is there already; name another file with -o, or add --force" in capsys.readouterr().err
-    assert track.read_text() == "mine"
+    assert track.read_bytes() == kept
     assert main(["grow", "-o", str(track), "--hours", "1", "--force"]) == 0
     assert len(read_track(track).time_s) == 13
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "what"), [("grow", "run.toml", "a track"), ("picture", "a.png", "a picture")]
+)
+def test_what_another_command_made_is_not_replaced_with_force_either(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, name: str, what: str
+) -> None:
+    mine = tmp_path / name
+    mine.write_text("mine")
+    assert main([command, "-o", str(mine), "--hours", "1", "--force"]) == 2
+    assert f"{mine}: is there already, is not {what} and is not replaced" in capsys.readouterr().err
+    assert mine.read_text() == "mine"

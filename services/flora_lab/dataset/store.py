@@ -17,10 +17,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from flora_common import files
+from flora_common import files, outputs
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
-from flora_lab import outputs
 from flora_lab.dataset.build import Built
 from flora_lab.dataset.pairs import COORDINATES, Pairs
 from flora_lab.dataset.recipe import PAPER_VECTORS, Recipe

@@ -24,10 +24,11 @@ from typing import Annotated, Final
 import msgspec
 import numpy as np
 
+from flora_common import outputs
 from flora_common.arrays import Array, FloatArray
 from flora_common.errors import BadInput
 from flora_common.tracks import read_track
-from flora_lab import made_folders, outputs
+from flora_lab import made_folders
 from flora_lab.evolve.episode import Reason
 from flora_lab.evolve.individuals import Judge
 from flora_lab.evolve.task import Scenario, Task

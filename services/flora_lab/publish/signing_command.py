@@ -12,6 +12,7 @@ import typer
 from flora_common.controller_file import LARGEST_SERIAL, SUFFIX, load_controller
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes
+from flora_common.outputs import beginning, check_file
 
 
 def register(app: typer.Typer) -> None:
@@ -83,5 +84,8 @@ def _check_output(output: Path, controller: Path, *, force: bool) -> None:
         raise BadInput(f"{output}: a controller file's name ends in {SUFFIX}")
     if output.exists() and controller.exists() and output.samefile(controller):
         raise BadInput(f"{output}: is the unsigned file itself, which stays as it is; name another one with -o")
-    if output.exists() and not force:
-        raise BadInput(f"{output}: is there already; name another file with -o, or add --force")
+    check_file(output, force=force, is_ours=_may_be_controller, what="a controller file")
+
+
+def _may_be_controller(path: Path) -> bool:
+    return beginning(path, 1) == b"{"

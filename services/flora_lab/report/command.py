@@ -9,11 +9,11 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from flora_common import outputs
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes, write_text
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import RunFolder
-from flora_lab import outputs
 from flora_lab.report import strip
 from flora_lab.report.page import is_page, page
 from flora_lab.report.summary import RunSummary, summarise

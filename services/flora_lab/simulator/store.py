@@ -17,11 +17,10 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from flora_common import files
+from flora_common import files, outputs
 from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.toml_strict import to_toml
-from flora_lab import outputs
 from flora_lab.made_folders import read_info, read_named
 
 FORMAT: Final = 1

@@ -11,13 +11,12 @@ from typing import Any
 import msgspec
 import typer
 
-from flora_common import files
+from flora_common import files, outputs
 from flora_common.errors import BadInput
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings
 from flora_common.vision.path.settings import PathSettings
-from flora_lab import outputs
 from flora_lab.lights import parse_rule
 from flora_lab.option_values import must_not
 from flora_lab.sources import FilmSource, FolderSource, RunSource, open_source
@@ -31,7 +30,7 @@ from flora_lab.track.part_file import PartFile
 from flora_lab.track.pictures import Pictures, Wanted
 from flora_lab.track.pool import Pool
 from flora_lab.track.readings import Span, Summary
-from flora_lab.track.tables import is_track, own_columns, track_text
+from flora_lab.track.tables import own_columns, track_text
 
 
 def register(app: typer.Typer) -> None:
@@ -78,7 +77,7 @@ def track(
 
     The same command, given again after it was killed, goes on where it was.
     """
-    outputs.check_file(output, force=force, is_ours=is_track, what="a track")
+    outputs.check_file(output, force=force, is_ours=outputs.is_track, what="a track")
     wanted = Wanted(overlays, contact, film, every)
     wanted.check(output, force=force)
     span = options.span_of(frames)

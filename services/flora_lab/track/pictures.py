@@ -14,12 +14,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from flora_common import files
+from flora_common import files, outputs
 from flora_common.errors import BadInput, StoreError
 from flora_common.outputs import is_there
 from flora_common.vision import draw
 from flora_common.vision.picture import Picture
-from flora_lab import outputs
 from flora_lab.option_values import must_not
 from flora_lab.sources import Source
 from flora_lab.track.drawing import DrawReadings, DrawTask, View, plant_view, whole

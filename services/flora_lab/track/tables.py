@@ -5,12 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from flora_common.runs import TRACK_HEADER, track_line
 from flora_common.shapes import STEM_POINTS
-from flora_lab.outputs import beginning
 from flora_lab.track.readings import Reading
 
 METHOD_COLUMNS: Final = ("quality", "folded", "tip_uncertainty_mm")
@@ -34,11 +32,6 @@ READINGS_HEADER: Final = (
     "stem_pixels",
     *(f"uncertainty{i}_mm" for i in range(1, STEM_POINTS + 1)),
 )
-
-
-def is_track(path: Path) -> bool:
-    """Whether a file begins as a track does."""
-    return beginning(path, len(TRACK_HEADER)) == TRACK_HEADER.encode()
 
 
 def own_columns(*, method_columns: bool) -> tuple[str, ...]:
