@@ -111,6 +111,11 @@ def next_experiment(
     )
 
 
+def _called(name: str) -> str:
+    """A candidate in a sentence."""
+    return "nothing at all" if name == NOTHING else name
+
+
 def candidates_of(explanation: Explanation) -> list[Candidate]:
     """The causes that may still be, the best one first; one or none where nothing is in question."""
     stage = last_choice(explanation)
@@ -170,7 +175,7 @@ def separating(
 
 
 def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
-    """A run that was not made yet: as long and as warm as the first one, of a plant that starts as they did."""
+    """A run that was not made yet: as long and as warm as the longest one, of a plant that starts as they did."""
     like = max(scenes, key=lambda scene: scene.steps)
     steps = round((len(like.run) - 1) * like.run.step_s / STEP_S)
     step_h = STEP_S / 3600.0
@@ -236,7 +241,8 @@ def _why_light(
         row = asked[other.name]
         usual = "" if chosen.name == DEFAULT else f"; turns of {DEFAULT} would tell {row[DEFAULT]:.1f}"
         said.append(
-            f"A run of three days with turns of {chosen.name} is expected to tell {best} from {other.name} by "
+            f"A run of three days with turns of {chosen.name} is expected to tell {_called(best)} from "
+            f"{_called(other.name)} by "
             f"{row[chosen.name]:.1f} nats{usual}."
         )
     lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
