@@ -132,8 +132,9 @@ def transfer(order: Order, target: Target) -> Steps:
                 raise NasDamaged(f"{target.name}/{order.destination}: what was read back is not what was sent")
             aside = ""
             if there is not None and not is_continued:
-                aside = _free_name(target, order.destination, there.sha256)
-                target.rename(order.destination, aside)
+                aside, is_kept = yield from _aside(target, order.destination, there.sha256)
+                if not is_kept:
+                    target.rename(order.destination, aside)
             target.rename(temporary, order.destination)
         except GeneratorExit:
             with contextlib.suppress(StoreError):  # removed at the next start
@@ -205,15 +206,18 @@ def _copy(source: _Source, target: Target, temporary: str) -> Generator[None, No
     return _Hashed(digest.hexdigest(), size)
 
 
-def _free_name(target: Target, destination: str, sha256: str) -> str:
-    """``<name>.conflict-<first 8 digits of its hash>``, numbered where even that is taken."""
+def _aside(target: Target, destination: str, sha256: str) -> Generator[None, None, tuple[str, bool]]:
+    """``<name>.conflict-<first 8 digits of its hash>``, numbered where another file has that name; and whether the very
+    same is kept there already. Two rigs that send files of one name to one place would fill it else."""
     name = f"{destination}.conflict-{sha256[:8]}"
     number = 1
     candidate = name
-    while target.size(candidate) is not None:
+    while (kept := (yield from _hash_there(target, candidate))) is not None:
+        if kept.sha256 == sha256:
+            return candidate, True
         number += 1
         candidate = f"{name}-{number}"
-    return candidate
+    return candidate, False
 
 
 class _Source:

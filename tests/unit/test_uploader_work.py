@@ -164,6 +164,17 @@ def test_another_picture_of_that_name_is_kept(bench: Bench) -> None:
     assert any("kept as" in event.reason for event in bench.events)
 
 
+def test_what_two_rigs_send_to_one_place_in_turn_is_kept_once(bench: Bench) -> None:
+    path = bench.photograph(1, b"ours")
+    aside = f"bean/{path}.conflict-{sha(b'theirs')[:8]}"
+    bench.target.files |= {f"bean/{path}": b"theirs", aside: b"theirs"}
+    bench.work()
+    assert bench.there(path) == b"ours"
+    assert bench.target.files[aside] == b"theirs"
+    assert f"{aside}-2" not in bench.target.files
+    assert any(f"kept as {aside}" in event.reason for event in bench.events)
+
+
 def test_a_picture_that_is_not_what_the_camera_wrote_is_not_sent(bench: Bench) -> None:
     path = bench.photograph(1, b"whole")
     (bench.run / path).write_bytes(b"who")
