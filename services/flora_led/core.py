@@ -28,6 +28,8 @@ IDLE_A: Final = 0.001
 
 LEAST_BEATS: Final = 2.5
 """For so many intervals between photographs a command holds at least, so that one lost photograph darkens nothing."""
+SAME_BEAT_S: Final = 1.0
+"""Beats that were due so near together are one, told twice."""
 
 Fallback = Literal["dark", "left", "right", "both", "hold", "open-loop"]
 Rgb = tuple[int, int, int]
@@ -99,7 +101,7 @@ class Lease:
         self._fallback = fallback
         self._open_loop = open_loop
         self._run_zero_ns = 0
-        self._beat_at_s: float | None = None
+        self._due_s: float | None = None
         self._apart_s = math.inf
         self._command: LightCommand | None = None
         self._given_ns: int | None = None
@@ -115,12 +117,15 @@ class Lease:
         if tick.purpose != "run":
             return
         self._run_zero_ns = tick.t_mono_ns - round(tick.time_s * NS)
-        if self._beat_at_s is None or tick.time_s <= self._beat_at_s:
+        # When it was due, not when it came: one late beat would make the next one seem to follow too soon for good.
+        due_s = tick.time_s - tick.late_s
+        apart_s = math.inf if self._due_s is None else due_s - self._due_s
+        if apart_s < -SAME_BEAT_S:
             self._apart_s = math.inf  # another run
-        else:
-            # The shortest, for one that was not heard or came late must not make commands live longer.
-            self._apart_s = min(self._apart_s, (tick.time_s - self._beat_at_s) / (1 + tick.skipped))
-        self._beat_at_s = tick.time_s
+        elif apart_s > SAME_BEAT_S:
+            # The shortest, for one that was not heard must not make commands live longer.
+            self._apart_s = min(self._apart_s, apart_s / (1 + tick.skipped))
+        self._due_s = due_s
 
     def setup(self, setup: Setup | None) -> None:
         """A setup run asks for lamps; None or inactive: it is over."""

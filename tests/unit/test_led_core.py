@@ -120,6 +120,20 @@ def test_beats_that_were_not_heard_or_are_of_another_run_make_no_lease_longer(
     assert lease.until_ns == ns(950.0)
 
 
+def test_a_beat_that_came_late_or_was_told_twice_makes_no_lease_shorter() -> None:
+    lease = Lease(900.0, "dark")
+    for tick, time_s, late_s in (
+        (1, 600.0, 0.0),
+        (2, 1200.0, 0.0),
+        (3, 2090.0, 290.0),
+        (3, 2095.0, 295.0),
+        (4, 2400.0, 0.0),
+    ):
+        lease.beat(Tick(tick=tick, time_s=time_s, late_s=late_s, t_mono_ns=ns(time_s)))
+    lease.command(command("left", 2400.0, tick=4), ns(2400.0))
+    assert lease.until_ns == ns(2400.0 + 2.5 * 600.0)
+
+
 def test_a_setup_run_goes_before_commands() -> None:
     lease = Lease(900.0, "dark")
     lease.command(command("left", 0.0, tick=4), 0)
