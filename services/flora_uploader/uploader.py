@@ -272,7 +272,7 @@ class Uploader:
             self.totals.files += done.copied
             self.totals.found_there += not done.copied
             self.totals.bytes += done.size if done.copied else 0
-            self.conditions.clear(f"file {entry.run}/{entry.path}")
+            self.conditions.clear(_trouble_with(entry))
             self._works()
             aside = f"another file of that name was there and is kept as {done.moved_aside}" if done.moved_aside else ""
             self._say("stored", entry, sha256=done.sha256, bytes=done.size, reason=aside)
@@ -284,8 +284,10 @@ class Uploader:
             return
         if entry.sha256 and (yield from hash_at_target(self._target, destination)) == entry.sha256:
             self._ledger.mark(entry, "freed")
+            self.conditions.clear(_trouble_with(entry))
         elif entry.kind == "table" and not entry.sha256:
             self._ledger.forget(entry)
+            self.conditions.clear(_trouble_with(entry))
         elif entry.sha256:
             self._ledger.mark(entry, "damaged", "the copy at the target is damaged, and the spool has none any more")
             self._refused(entry, f"{destination}: damaged at the target, and the spool has none any more")
@@ -367,7 +369,7 @@ class Uploader:
         self.conditions.clear("target")
 
     def _refused(self, entry: Entry, reason: str) -> None:
-        if self.conditions.set(f"file {entry.run}/{entry.path}", reason):
+        if self.conditions.set(_trouble_with(entry), reason):
             self._say("refused", entry, reason=reason)
 
     def _say(self, stage: Stage, entry: Entry, *, sha256: str = "", bytes: int = 0, reason: str = "") -> None:  # noqa: A002
@@ -379,6 +381,11 @@ class Uploader:
             return
         self._disk_at_s = now_s + DISK_EVERY_S
         self.conditions.disk_is(self._world.percent_free())
+
+
+def _trouble_with(entry: Entry) -> str:
+    """Name of the condition that a file is in."""
+    return f"file {entry.run}/{entry.path}"
 
 
 def _destination(entry: Entry) -> str:

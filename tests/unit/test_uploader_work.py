@@ -270,6 +270,23 @@ def test_one_bad_file_does_not_hold_up_the_others(bench: Bench) -> None:
     assert not bench.uploader.conditions.is_serious
 
 
+def test_a_refused_file_that_is_taken_away_is_no_trouble_any_more(bench: Bench) -> None:
+    bench.work()  # all that there is besides
+    bench.write("notes.txt", b"mine")
+
+    def at_call(_number: int, what: str) -> None:
+        if what == "create":
+            raise StoreError("/memory/bean/notes.txt: something that is no plain file has this name")
+
+    bench.target.at_call = at_call
+    bench.work(600.0)
+    assert "no plain file" in bench.uploader.conditions.sentence()
+    (bench.run / "notes.txt").unlink()
+    bench.work(7200.0)
+    assert bench.uploader.waiting == 0
+    assert bench.uploader.conditions.sentence() == ""
+
+
 def test_a_damaged_read_back_never_gets_the_name(bench: Bench) -> None:
     path = bench.photograph(1, b"one")
     flipped: list[str] = []
