@@ -77,17 +77,17 @@ def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
         path = real_path(candidate)
         if path in found.runs.values():
             continue
+        trouble = ""
         try:
             if not is_run_folder(path):
                 continue
-        except SpoolUnreadable as problem:  # on a dead mount or a bad sector: the others are not held up
-            if is_text(path.name):
-                found.unreadable.update(dict.fromkeys((candidate.name, path.name), str(problem)))
-            else:
-                found.unnameable.append(repr(path.name))
-            continue
-        if not is_text(path.name):  # the ledger cannot take it: the others are not held up
+        except SpoolUnreadable as problem:
+            trouble = str(problem)
+        # neither a name that the ledger cannot take nor a dead mount or a bad sector holds up the others
+        if not is_text(path.name):
             found.unnameable.append(repr(path.name))
+        elif trouble:
+            found.unreadable.update(dict.fromkeys((candidate.name, path.name), trouble))
         elif path.name in found.runs:
             found.clashes.append(f"{found.runs[path.name]} and {path}")
         else:

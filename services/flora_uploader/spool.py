@@ -57,9 +57,8 @@ class Spool:
         folder = self.runs.get(run)
         if folder is None:
             folder = scan.real_path(self._run_dir)
-            if run not in (folder.name, self._run_dir.name) or not scan.is_run_folder(folder):
-                return
-            if not scan.is_text(folder.name):  # a link to it may have a name that is
+            is_it = run in (folder.name, self._run_dir.name) and scan.is_run_folder(folder)
+            if not is_it or not scan.is_text(folder.name):  # a link to it may have a name that is text
                 return
             self.runs[folder.name] = folder
         if not all(is_of_record(part) for part in Path(path).parts):

@@ -42,6 +42,8 @@ TOLD_NATS: Final = 1.0
 MUCH_NATS: Final = 2.0
 """By so much a schedule must be better than another one to be worth a word."""
 NOTHING: Final = "nothing"
+NOTHING_TOLD: Final = "nothing at all"
+"""How that is called where a person reads it."""
 _STEPS: Final = 8
 _STEPS_TO_SUIT: Final = 4
 _PICTURES: Final[Mapping[str, str]] = {
@@ -113,7 +115,7 @@ def next_experiment(
 
 def _called(name: str) -> str:
     """A candidate in a sentence."""
-    return "nothing at all" if name == NOTHING else name
+    return NOTHING_TOLD if name == NOTHING else name
 
 
 def candidates_of(explanation: Explanation) -> list[Candidate]:
@@ -242,8 +244,7 @@ def _why_light(
         usual = "" if chosen.name == DEFAULT else f"; turns of {DEFAULT} would tell {row[DEFAULT]:.1f}"
         said.append(
             f"A run of three days with turns of {chosen.name} is expected to tell {_called(best)} from "
-            f"{_called(other.name)} by "
-            f"{row[chosen.name]:.1f} nats{usual}."
+            f"{_called(other.name)} by {row[chosen.name]:.1f} nats{usual}."
         )
     lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
     weakest = min(by_light, key=lambda other: asked[other.name][chosen.name])

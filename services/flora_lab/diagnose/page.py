@@ -10,7 +10,7 @@ from flora_lab import html_page
 from flora_lab.diagnose import controllers_told, learned_told
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
 from flora_lab.diagnose.figures import GAIN_NAMES
-from flora_lab.diagnose.next_experiment import NOTHING
+from flora_lab.diagnose.next_experiment import NOTHING, NOTHING_TOLD
 from flora_lab.diagnose.replayed import Plant
 from flora_lab.diagnose.residual_words import mm, p_text
 from flora_lab.effects.catalogue import BY_NAME
@@ -296,7 +296,7 @@ def _next(diagnosis: Diagnosis) -> list[str]:
         out.append(html_page.paragraph(asked.why))
     rows = []
     if asked.separates:
-        names = ("nothing at all" if name == NOTHING else _title(name) for name in asked.separates)
+        names = (NOTHING_TOLD if name == NOTHING else _title(name) for name in asked.separates)
         rows.append(("To tell apart", ", ".join(names)))
     if asked.light_schedule:
         rows.append(("Lamps", asked.light_schedule))

@@ -80,7 +80,7 @@ def _effect_of(extension: Extension, where: str) -> Effect:
 def _is_thinkable(parameter: Parameter, value: float) -> bool:
     """Whether a value has no effect, or is one with which a simulator may be extended."""
     low, high = parameter.taken
-    return value == parameter.none or (low <= value <= high and bool(np.isfinite(value)))
+    return value == parameter.none or low <= value <= high
 
 
 def law_of(lamps: LampsSection, change: Change) -> TropismLaw:
