@@ -158,19 +158,32 @@ def test_whatever_goes_wrong_on_a_full_disk_is_told_as_a_full_disk(
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [["grow", "--hours", "1"], ["picture", "--hours", "0"]])
-def test_a_file_that_is_there_is_replaced_only_when_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
+@pytest.mark.parametrize(
+    ("command", "what"), [(["grow", "--hours", "1"], "a track"), (["picture", "--hours", "0"], "a picture")]
+)
+def test_only_what_the_same_command_made_is_replaced_and_only_when_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], what: str
 ) -> None:
     output = tmp_path / "a.jpg"
     output.write_text("years of work")
+    for asked in ([], ["--force"]):
+        assert main([*command, "-o", str(output), *asked]) == 2
+        assert capsys.readouterr().err == (
+            f"flora-twin: {output}: is there already, is not {what} and is not replaced; name another file with -o\n"
+        )
+        assert output.read_text() == "years of work"
+    output.unlink()
+    assert main([*command, "-o", str(output)]) == 0
+    made = output.read_bytes()
+    output.write_bytes(made[:-1])
+    capsys.readouterr()
     assert main([*command, "-o", str(output)]) == 2
     assert capsys.readouterr().err == (
         f"flora-twin: {output}: is there already; name another file with -o, or add --force\n"
     )
-    assert output.read_text() == "years of work"
+    assert output.read_bytes() == made[:-1]
     assert main([*command, "-o", str(output), "--force"]) == 0
-    assert output.read_bytes() != b"years of work"
+    assert output.read_bytes() == made
     assert main([*command, "-o", str(tmp_path), "--force"]) == 2
 
 
