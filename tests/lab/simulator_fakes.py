@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -101,6 +101,14 @@ def straight_run(
     points[list(missing)] = np.nan
     time_s = np.arange(count + 1, dtype=np.float64) * STEP_S
     return MeasuredRun(name, plant or name, "0" * 64, points, light, time_s, STEP_S, {})
+
+
+def half_as_often(run: MeasuredRun) -> MeasuredRun:
+    """The same plant, of which every second photograph was taken; its lamps change with these."""
+    assert not run.covariates
+    return replace(
+        run, points_cm=run.points_cm[::2], light=run.light[::2], time_s=run.time_s[::2], step_s=2.0 * run.step_s
+    )
 
 
 def write_track(path: Path, run: MeasuredRun) -> Path:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evolve_simulators import paper
+from simulator_fakes import half_as_often
 from test_simulator_remembering import bending
 
 from flora_lab.diagnose import figures_of_learned, learned_told
@@ -83,6 +84,25 @@ def test_what_is_judged_was_not_fitted_to(runs: list[MeasuredRun], whole: Mended
     plant = whole.simulator
     stems = interface.run(plant, plant.start(runs[3].points_cm[:1]), runs[3].light[:, None], 300.0)[:, 0]
     assert held_out.stems_cm[MEMORY][0][1:] == pytest.approx(stems, abs=1e-9)
+
+
+def test_runs_of_different_steps_are_each_followed_in_their_own(runs: list[MeasuredRun]) -> None:
+    mixed = [half_as_often(runs[2]), runs[3]]
+    together = mended(idle(), faults("time_scale"), runs[:2], mixed)
+    assert together is not None
+    for run, stems in zip(mixed, together.stems_cm[CLOCK], strict=True):
+        alone = mended(idle(), faults("time_scale"), runs[:2], [run])
+        assert alone is not None
+        assert stems == pytest.approx(alone.stems_cm[CLOCK][0])
+
+
+@pytest.mark.parametrize("seldom", [(0, 2), (0, 1, 2)])
+def test_memory_is_the_same_in_runs_of_longer_steps(runs: list[MeasuredRun], seldom: tuple[int, ...]) -> None:
+    steps = [half_as_often(run) if i in seldom else run for i, run in enumerate(runs[:3])]
+    found, often = (mended(idle(), faults("time_scale", "memory"), ones, runs[3:]) for ones in (steps, runs[:3]))
+    assert found is not None
+    assert often is not None
+    assert found.errors_mm[MEAN][MEMORY] < 1.5 * often.errors_mm[MEAN][MEMORY]
 
 
 def test_no_side_is_preferred(whole: Mended) -> None:

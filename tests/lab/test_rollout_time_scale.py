@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulator_fakes import GROWTH_CM_H, StraightPlant, straight_run
+from simulator_fakes import GROWTH_CM_H, StraightPlant, half_as_often, straight_run
 
 from flora_lab.rollout.at_time_scale import AtTimeScale, resampled
 from flora_lab.rollout.free_running import free_run
@@ -55,6 +55,17 @@ def test_the_interval_is_as_wide_as_individuals_differ() -> None:
     widths = [factor.high - factor.low for factor in (alike, unlike) if factor.low and factor.high]
     assert widths[1] > 3 * widths[0]
     assert widths[1] > 0.2
+
+
+def test_runs_of_different_steps_are_each_simulated_in_their_own() -> None:
+    often, seldom = beans(6), [half_as_often(bean) for bean in beans(6)]
+    mixed = [often[0], seldom[1], often[2], seldom[3], seldom[4], often[5]]
+    fast = StraightPlant(speed=2.0)
+    apart = [float(mean_tip_errors_mm(fast, [one])[0]) for one in mixed]
+    for order in (mixed, mixed[::-1]):
+        together = dict(zip([one.plant for one in order], mean_tip_errors_mm(fast, order), strict=True))
+        assert [together[one.plant] for one in mixed] == pytest.approx(apart)
+    assert best_time_scale(fast, mixed, 1).factor.value == pytest.approx(2.0, rel=0.03)
 
 
 def test_a_plant_that_does_not_move_has_none_and_stays_as_it_is() -> None:

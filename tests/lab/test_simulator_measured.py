@@ -15,7 +15,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import LEVELS, LampsSection, Light
 from flora_common.tracks import Track
 from flora_lab.run_tracks import RunTrack
-from flora_lab.simulator.measured import NEAR_SHARE, MeasuredRun, in_steps, side_by_side
+from flora_lab.simulator.measured import NEAR_SHARE, MeasuredRun, by_step, in_steps, side_by_side
 
 STEP_S = 300.0
 ALONG = np.linspace(0.0, 1.0, 10)
@@ -196,6 +196,13 @@ def test_side_by_side_all_are_as_long_as_the_longest() -> None:
     assert batch.light[:, 1].tolist() == [[0, 1], [1, 1], [1, 1], [1, 1]]  # its last lamp stays on
     assert list(batch.covariates) == ["warm"]  # what not all runs have is nobody's
     assert batch.covariates["warm"].T.tolist() == [[1.5, 2.5, 3.5, 4.5], [7.5, 8.5, 8.5, 8.5]]
+
+
+def test_runs_of_different_steps_do_not_go_side_by_side() -> None:
+    often, seldom = in_steps(a_run([0, 300, 600])), in_steps(a_run([0, 600, 1200]), 600.0)
+    with pytest.raises(ValueError, match="different steps"):
+        side_by_side([often, seldom])
+    assert [places.tolist() for places in by_step([seldom, often, seldom])] == [[0, 2], [1]]
 
 
 def test_a_run_alone_side_by_side_is_itself() -> None:

@@ -148,12 +148,16 @@ def _forgets(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> bool:
 
 
 def _steps(simulator: Simulator[Any], run: MeasuredRun) -> tuple[Array, Array]:
-    """One-step errors of the tip, cm, shape (n, 2), and the plant's own step before each, shape (n, 2)."""
+    """Errors of the tip after one row, shape (n, 2), and the plant's own way in the row before each, shape (n, 2).
+
+    Both in cm per step of the simulator, so that runs of different steps tell one rule.
+    """
     known = run.is_measured
     rows = np.flatnonzero(np.logical_and.reduce([known[:-2], known[1:-1], known[2:]])) + 1
     stems = simulator.step(simulator.start(run.points_cm[rows]), run.light[rows], run.step_s)[1]
     tips = run.points_cm[:, -1]
-    return tips[rows + 1] - stems[:, -1], tips[rows] - tips[rows - 1]
+    steps = run.step_s / simulator.step_s
+    return (tips[rows + 1] - stems[:, -1]) / steps, (tips[rows] - tips[rows - 1]) / steps
 
 
 def _told_by_past(errors: Sequence[Array], past: Sequence[Array]) -> float:

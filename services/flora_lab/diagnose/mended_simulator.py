@@ -20,7 +20,7 @@ from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, NamedCause
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.time_scale import best_time_scale
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.measured import MeasuredRun, by_step
 from flora_lab.simulator.paper import COORDINATES, PaperSimulator
 from flora_lab.simulator.remembering import FEATURES, RememberingSimulator, features, remembered, sides
 
@@ -128,18 +128,23 @@ def with_memory(
 
 
 def _hours(clocked: RememberingSimulator, run: MeasuredRun) -> tuple[FloatArray, FloatArray]:
-    """Features and what the plant does beside the network's step, cm per step, both means over an hour."""
+    """Features and what the plant does beside the network's steps, cm per such step, both means over an hour."""
     stems = run.points_cm[:, 1:].reshape(len(run), COORDINATES)
+    steps = clocked.learned.steps_in(run.step_s)
     traces = np.zeros((len(run) - 1, (FEATURES - 1 - COORDINATES) // 2))
     now = traces[:1]
     for row, side in enumerate(sides(run.light)):
-        now = remembered(now, np.array([side]), run.step_s)
-        traces[row] = now[0]
+        for _ in range(steps):
+            now = remembered(now, np.array([side]), clocked.step_s)
+            traces[row] += now[0] / steps
     whole: BoolArray = np.asarray(np.isfinite(stems[:-1] + stems[1:]).all(axis=1))
     x = np.full((len(run) - 1, FEATURES), np.nan)
     y = np.full((len(run) - 1, COORDINATES), np.nan)
     x[whole] = features(stems[:-1][whole], traces[whole])
-    y[whole] = stems[1:][whole] - stems[:-1][whole] - clocked.learned_step_cm(stems[:-1][whole], run.light[whole])
+    before, moved = stems[:-1][whole], np.zeros((int(whole.sum()), COORDINATES))
+    for _ in range(steps):
+        moved += clocked.learned_step_cm(before + moved, run.light[whole])
+    y[whole] = (stems[1:][whole] - before - moved) / steps
     rows = round(_WINDOW_H * 3600.0 / run.step_s)
     starts = [at for at in range(0, len(x) - rows + 1, _EVERY) if whole[at : at + rows].all()]
     hours = [
@@ -176,8 +181,13 @@ def _simulated(make: Maker, runs: Sequence[MeasuredRun], holdout: Sequence[Measu
 
 
 def _free(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[FloatArray]:
-    stems = free_run(simulator, runs, np.zeros(len(runs), dtype=np.int64), watched=False).simulated_cm
-    return [stems[: len(run), i] for i, run in enumerate(runs)]
+    stems: list[FloatArray] = [np.empty(0)] * len(runs)
+    for places in by_step(runs):
+        own = [runs[i] for i in places]
+        simulated_cm = free_run(simulator, own, np.zeros(len(own), dtype=np.int64), watched=False).simulated_cm
+        for column, i in enumerate(places):
+            stems[i] = simulated_cm[: len(runs[i]), column]
+    return stems
 
 
 def _errors(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from flora_lab.rollout.at_time_scale import AtTimeScale
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.intervals import FEWEST_PLANTS, Estimate, by_plant, ends, resampled
 from flora_lab.simulator.interface import Simulator
-from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.measured import MeasuredRun, by_step
 
 RANGE: Final = (0.25, 32.0)
 COARSE: Final = 22
@@ -46,8 +46,11 @@ class TimeScale:
 
 def mean_tip_errors_mm(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> FloatArray:
     """Mean tip error of each plant over its runs' whole length, from the first stem on; shape (plants,)."""
-    run = free_run(simulator, runs, np.zeros(len(runs), dtype=np.int64), watched=False)
-    return by_plant(np.nanmean(run.errors.tip_mm[1:], axis=0), [run.plant for run in runs])
+    errors_mm = np.empty(len(runs))
+    for places in by_step(runs):
+        free = free_run(simulator, [runs[i] for i in places], np.zeros(len(places), dtype=np.int64), watched=False)
+        errors_mm[places] = np.nanmean(free.errors.tip_mm[1:], axis=0)
+    return by_plant(errors_mm, [run.plant for run in runs])
 
 
 def best_time_scale(
@@ -63,7 +66,7 @@ def best_time_scale(
 
     Args:
         simulator: whom.
-        runs: of one step.
+        runs: measured; each is simulated in its own step.
         seed: of the resampling of plants.
         on_run: called after each free run.
     """

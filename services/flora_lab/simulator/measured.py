@@ -179,8 +179,20 @@ class Batch:
     step_s: float
 
 
+def by_step(runs: Sequence[MeasuredRun]) -> list[IntArray]:
+    """Places of the runs of each step, in the order in which steps first come."""
+    steps_s = np.array([run.step_s for run in runs])
+    return [np.flatnonzero(steps_s == step_s) for step_s in dict.fromkeys(steps_s.tolist())]
+
+
 def side_by_side(runs: Sequence[MeasuredRun]) -> Batch:
-    """Several runs of the same step as one batch."""
+    """Several runs as one batch.
+
+    Raises:
+        ValueError: runs of different steps, see :func:`by_step`.
+    """
+    if len(by_step(runs)) > 1:
+        raise ValueError("runs of different steps do not go side by side")
     count = max(len(run) for run in runs)
     points = np.full((count, len(runs), STEM_POINTS, 2), np.nan)
     light = np.empty((count - 1, len(runs), 2))
