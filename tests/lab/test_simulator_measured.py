@@ -84,6 +84,13 @@ def test_gaps_are_empty_rows_and_lamps_are_taken_to_change_in_their_middle() -> 
     assert run.time_s.tolist() == (STEP_S * np.arange(9)).tolist()
 
 
+def test_a_gap_after_the_first_row_is_lit_as_the_row_after_it_tells() -> None:
+    """The first row's lamp shone before the run."""
+    run = in_steps(a_run([0, 900, 1200], ["dark", "left", "right"]))
+    assert lamps_of(run) == ["left", "left", "left", "right"]
+    assert [(gap.start, gap.stop, gap.changes) for gap in run.unseen] == [(0, 2, False)]
+
+
 def test_a_beat_that_is_not_exact_is_put_in_its_place() -> None:
     run = in_steps(a_run([100, 100 + 299, 100 + 640, 100 + 850, 100 + 1260]))
     assert rows_of(run) == [0, 1, 2, 3, 4]

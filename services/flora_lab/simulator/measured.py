@@ -110,8 +110,9 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     """A run's track on a grid of equal steps from its first row.
 
     ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; where that is
-    another lamp than before the gap, it is taken to have changed in the middle. Rows that lie near no place of the grid
-    are left out, and rows whose points are all in one place.
+    another lamp than before the gap, it is taken to have changed in the middle. What the first row tells shone before
+    the run, and is used nowhere. Rows that lie near no place of the grid are left out, and rows whose points are all in
+    one place.
 
     Raises:
         BadInput: fewer than two stems, points that no stem has, a first stem without length, or no two rows ``step_s``
@@ -137,6 +138,7 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     points = np.full((count, STEM_POINTS, 2), np.nan)
     points[at] = track.points_cm[rows]
     own = np.array([LEVELS[light] for light in track.light])[rows]
+    own[0] = own[1]
     next_row = np.searchsorted(at, np.arange(1, count))  # the row at or after each step's end
     light = own[next_row]
     gaps = np.flatnonzero(np.diff(at) > 1)
