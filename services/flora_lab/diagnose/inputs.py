@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.run_tracks import RunTrack, load_runs
+from flora_lab.simulator.interface import History, Simulator
 from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
@@ -107,6 +108,23 @@ def check_unseen(runs: Runs | None, learned_from: Collection[str]) -> None:
     for track in () if runs is None else runs.tracks:
         if track.sha256 in learned_from:
             raise BadInput(f"{track.file}: the simulator was learned from this run; take one that it has not seen")
+
+
+def check_known(simulator: Simulator[Any], runs: Runs | None) -> None:
+    """Whether a simulator can be run beside runs at all, before anything that takes its time.
+
+    Raises:
+        BadInput: it does not know one's step, or lamps that shone in it.
+    """
+    for track, run in () if runs is None else zip(runs.tracks, runs.measured, strict=True):
+        first = History(run.points_cm[:1, None], run.light[:0, None], run.step_s, {})
+        for row in np.sort(np.unique(run.light, axis=0, return_index=True)[1]).tolist():
+            try:
+                simulator.step(simulator.watch(first), run.light[row : row + 1], run.step_s)
+            except BadInput as problem:
+                where = f"{track.file} at time_s {run.time_s[row + 1]:g}"
+                told = f"{where}: {problem}; for such runs give --reference without --simulator"
+                raise BadInput(told) from problem
 
 
 def read_reference(folder: Path, measured: Runs) -> Runs:

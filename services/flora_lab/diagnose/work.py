@@ -19,7 +19,7 @@ from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextE
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
-from flora_lab.diagnose.inputs import Runs, check_unseen, read_holdout, read_reference, read_runs
+from flora_lab.diagnose.inputs import Runs, check_known, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.mended_simulator import Mended
@@ -109,11 +109,13 @@ def start_from(
         seen = stored.info.provenance.track
         check_unseen(runs, {track.sha256 for track in seen if track.part != EXTENSION})
         check_unseen(held_out, {track.sha256 for track in seen})
+        for told in (runs, held_out):
+            check_known(simulator_of(stored), told)
     if reference is not None:
-        told = read_reference(reference, runs)
-        check_unseen(held_out, {track.sha256 for track in told.tracks})
-        provenance = _provenance(told, "the runs of --reference")
-        start = _learned(told, provenance, f"{len(told.measured)} reference runs", stage)
+        healthy = read_reference(reference, runs)
+        check_unseen(held_out, {track.sha256 for track in healthy.tracks})
+        provenance = _provenance(healthy, "the runs of --reference")
+        start = _learned(healthy, provenance, f"{len(healthy.measured)} reference runs", stage)
         return replace(start, judged=stored)
     assert simulator is not None
     assert stored is not None
