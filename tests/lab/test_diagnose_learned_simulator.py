@@ -101,6 +101,12 @@ def test_a_simulator_without_memory_is_told(tmp_path: Path) -> None:
     low, high = fault.interval["time_constant_h"]
     assert 0.05 < low < hours < high < 24.0
     assert "does not depend on what went before" in fault.evidence
+    assert fault.evidence.endswith("errors in runs that the rule is not from.")
+
+
+def test_of_a_single_run_it_is_told_that_the_rule_is_from_it(tmp_path: Path) -> None:
+    faults = {fault.effect: fault for fault in faults_of(stored(tmp_path / "forgetful", Forgetful()), plants(1))}
+    assert faults["memory"].evidence.endswith("errors in the run that the rule is from.")
 
 
 def test_a_growing_simulator_remembers(tmp_path: Path) -> None:

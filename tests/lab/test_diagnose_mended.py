@@ -96,6 +96,12 @@ def test_runs_of_different_steps_are_each_followed_in_their_own(runs: list[Measu
         assert stems == pytest.approx(alone.stems_cm[CLOCK][0])
 
 
+def test_what_judges_itself_is_told(runs: list[MeasuredRun]) -> None:
+    alone = mended(idle(), faults("time_scale"), runs[:1])
+    assert alone is not None
+    assert alone.judged_on == "the very run that it was mended by, which makes the figures too good"
+
+
 @pytest.mark.parametrize("seldom", [(0, 2), (0, 1, 2)])
 def test_memory_is_the_same_in_runs_of_longer_steps(runs: list[MeasuredRun], seldom: tuple[int, ...]) -> None:
     steps = [half_as_often(run) if i in seldom else run for i, run in enumerate(runs[:3])]

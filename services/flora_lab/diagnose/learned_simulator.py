@@ -96,7 +96,8 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
     """Whether plants remember what the simulator forgets.
 
     The simulator's next stem must not depend on what went before, and its one-step errors must follow from the plant's
-    own last step, in runs other than those that the rule is from; more than they do when the past is shifted in time.
+    own last step, in runs other than those that the rule is from if there are any; more than they do when the past is
+    shifted in time.
     """
     if not _forgets(simulator, runs):
         return None
@@ -111,6 +112,7 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
     if p_value > _P_CLAIM or share <= 0.0:
         return None
     hours = float(np.median([_lasting_h(e, run.step_s) for e, run in zip(errors, runs, strict=True)]))
+    where = "runs that the rule is not from" if len(runs) > 1 else "the run that the rule is from"
     return NamedCause(
         effect="memory",
         parameters={"time_constant_h": hours},
@@ -120,7 +122,7 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
         confusable_with=[],
         evidence=(
             "The simulator's next stem does not depend on what went before, a plant's does: its last step tells "
-            f"{100.0 * share:.0f} % of the variance of the simulator's errors in runs that the rule is not from."
+            f"{100.0 * share:.0f} % of the variance of the simulator's errors in {where}."
         ),
         nats=0.0,
     )
@@ -161,7 +163,7 @@ def _steps(simulator: Simulator[Any], run: MeasuredRun) -> tuple[Array, Array]:
 
 
 def _told_by_past(errors: Sequence[Array], past: Sequence[Array]) -> float:
-    """Share of the errors' variance that their past tells, each run by the rule of all others."""
+    """Share of the errors' variance that their past tells, each run by the rule of all others, or of itself alone."""
     left = total = 0.0
     for i, (own, before) in enumerate(zip(errors, past, strict=True)):
         others = [j for j in range(len(errors)) if j != i] or [i]

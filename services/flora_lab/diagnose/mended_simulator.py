@@ -3,8 +3,8 @@
 The memory is a ridge regression of what the plant does beside the network's step, over an hour at a time: measured
 stems have errors as large as what a plant moves in five minutes. Every run counts twice, once mirrored, so that no side
 is preferred. How strongly it is shrunk is chosen by how far the simulator is off when it runs free in runs that the fit
-has not seen; where no memory makes that better, it stays without. Beside it stands the same regression without the
-traces of light: what it gains over that is memory.
+has not seen (in the one that it has, where there is no other); where no memory makes that better, it stays without.
+Beside it stands the same regression without the traces of light: what it gains over that is memory.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def mended(
         learned: the simulator.
         faults: of :func:`flora_lab.diagnose.learned_simulator.faults_of`.
         runs: that tell what it lacks.
-        holdout: to judge by; without them each run is judged by what the others tell.
+        holdout: to judge by; without them each run is judged by what the others tell, a single one by itself.
     """
     if not faults or learned.stateful:
         return None
@@ -106,7 +106,12 @@ def mended(
     errors = {name: _errors(own, judged) for name, own in stems.items()}
     times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
     table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
-    judged_on = f"{len(holdout)} runs held out" if holdout else f"each of {len(runs)} runs, by what the others tell"
+    if holdout:
+        judged_on = f"{len(holdout)} runs held out"
+    elif len(runs) > 1:
+        judged_on = f"each of {len(runs)} runs, by what the others tell"
+    else:
+        judged_on = "the very run that it was mended by, which makes the figures too good"
     return Mended(simulator, {when: row for when, row in table.items() if row}, judged_on, ridge, judged, stems)
 
 
@@ -155,7 +160,7 @@ def _hours(clocked: RememberingSimulator, run: MeasuredRun) -> tuple[FloatArray,
 
 
 def _best_ridge(clocked: RememberingSimulator, runs: Sequence[MeasuredRun]) -> float | None:
-    """The penalty with which runs that the fit has not seen are followed best; None where all are worse than none."""
+    """The penalty with which runs are followed best, see :func:`_simulated`; None where all are worse than none."""
 
     def off_mm(make: Maker) -> float:
         off = _errors(_simulated(make, runs, ()), runs)[MEAN]
@@ -170,7 +175,7 @@ def _best_ridge(clocked: RememberingSimulator, runs: Sequence[MeasuredRun]) -> f
 
 
 def _simulated(make: Maker, runs: Sequence[MeasuredRun], holdout: Sequence[MeasuredRun]) -> list[FloatArray]:
-    """Stems of runs that a simulator was not made of, each from its first one on, shape (n, 10, 2)."""
+    """Stems of each run from its first one on, shape (n, 10, 2), by what other runs tell, or itself where none do."""
     if holdout:
         return _free(make(runs), holdout)
     simulated: list[FloatArray] = []
