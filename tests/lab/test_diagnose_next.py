@@ -165,7 +165,7 @@ def test_what_is_the_same_in_light_and_track_is_told_apart_by_no_light() -> None
     )
     (row,) = asked.map.values()
     assert max(row.values()) < 1.0
-    assert asked.light_schedule == ""
+    assert (asked.light_schedule, asked.hours) == ("", 0.0)
     assert asked.separates == ["phototropic_latency", "clock_offset"]
     assert asked.picture == "a picture that shows the lamps change, with its time"
     assert "No light tells phototropic_latency from clock_offset" in asked.why
@@ -183,7 +183,8 @@ def test_the_schedule_is_one_that_a_rig_can_run_and_parts_the_causes_most() -> N
     assert chosen.turns_h is not None
     assert row[chosen.name] == max(row[schedule.name] for schedule in CHOICE if schedule.turns_h is not None)
     assert asked.separates == ["gravitropism", "proprioception"]  # camera_roll lies farther behind than is close
-    assert f"turns of {chosen.name}" in asked.why
+    assert f"A run of 24 h with turns of {chosen.name}" in asked.why  # as long as these are
+    assert asked.hours == 24.0
     assert asked.picture == ""
 
 

@@ -111,6 +111,7 @@ class NextExperiment(msgspec.Struct, frozen=True):
         why: sentences.
         map: pair of causes to schedule to nats.
         picture: which calibration picture would help; empty where none.
+        hours: how long the run under ``light_schedule`` is to be, as the longest of these runs is; 0 where none would.
     """
 
     light_schedule: str = ""
@@ -118,6 +119,7 @@ class NextExperiment(msgspec.Struct, frozen=True):
     why: str = ""
     map: dict[str, dict[str, float]] = {}
     picture: str = ""
+    hours: float = 0.0
 
 
 class Diagnosis(msgspec.Struct, frozen=True):

@@ -42,7 +42,6 @@ BASE: Final = "base.simulator"
 EXTENDED: Final = "extended.simulator"
 CORRECTED: Final = "corrected"
 EXPERIMENT: Final = "next-experiment.toml"
-_HOURS: Final = 72.0
 
 
 def write(path: Path, result: Result) -> None:
@@ -84,7 +83,7 @@ def _write_found(folder: Path, result: Result) -> None:
     asked = result.diagnosis.next_experiment
     chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
     if chosen is not None:
-        write_experiment(folder / EXPERIMENT, chosen, hours=_HOURS, why=asked.why)
+        write_experiment(folder / EXPERIMENT, chosen, hours=asked.hours, why=asked.why)
 
 
 def _write_corrected(path: Path, result: Result) -> None:

@@ -96,7 +96,8 @@ def next_experiment(
     chosen = _chosen(by_light, asked)
     pictures = _pictures(best.name, [other.name for other in others])
     without = [other.name for other in others if other not in by_light]
-    said = _why_light(best.name, by_light, asked, chosen) if chosen is not None else []
+    hours = float(round(_longest(scenes).run.hours))
+    said = _why_light(best.name, by_light, asked, chosen, hours) if chosen is not None else []
     said += [_why_none(best.name, name, pictures.get(name)) for name in without]
     said += [
         f"Without any light: {text} tells {name} from {best.name}."
@@ -106,6 +107,7 @@ def next_experiment(
     first = without + [other.name for other in by_light]
     return NextExperiment(
         light_schedule="" if chosen is None else chosen.text,
+        hours=0.0 if chosen is None else hours,
         separates=[best.name, *(other.name for other in (by_light or others))],
         why=" ".join(said),
         map={f"{a} / {b}": {name: round(nats, 1) for name, nats in row.items()} for (a, b), row in told.items()},
@@ -178,7 +180,7 @@ def separating(
 
 def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
     """A run that was not made yet: as long and as warm as the longest one, of a plant that starts as they did."""
-    like = max(scenes, key=lambda scene: scene.steps)
+    like = _longest(scenes)
     steps = round((len(like.run) - 1) * like.run.step_s / STEP_S)
     step_h = STEP_S / 3600.0
     first_cm = np.mean([scene.first_cm for scene in scenes], axis=0)
@@ -191,6 +193,10 @@ def planned(scenes: Sequence[Scene], schedule: Schedule) -> Scene:
     run = MeasuredRun(schedule.name, "", "", points, light, time_s, STEP_S, {TEMPERATURE: warmth})
     law: ExtendedLaw = like.law
     return Scene(run, law, 0.0)
+
+
+def _longest(scenes: Sequence[Scene]) -> Scene:
+    return max(scenes, key=lambda scene: scene.steps)
 
 
 def typical(run: Ready, base: Base, candidate: Candidate) -> Array:
@@ -236,14 +242,14 @@ def _chosen(by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, floa
 
 
 def _why_light(
-    best: str, by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, float]], chosen: Schedule
+    best: str, by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, float]], chosen: Schedule, hours: float
 ) -> list[str]:
     said = []
     for other in by_light:
         row = asked[other.name]
         usual = "" if chosen.name == DEFAULT else f"; turns of {DEFAULT} would tell {row[DEFAULT]:.1f}"
         said.append(
-            f"A run of three days with turns of {chosen.name} is expected to tell {_called(best)} from "
+            f"A run of {hours:g} h with turns of {chosen.name} is expected to tell {_called(best)} from "
             f"{_called(other.name)} by {row[chosen.name]:.1f} nats{usual}."
         )
     lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
