@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 import tomli_w
 from diagnose_runs import CHANCE, change_of, run_of, turns, write_run
-from evolve_simulators import paper
 from html_reader import Reader
 
 from flora_common.runs import TRACK_HEADER
@@ -32,7 +31,6 @@ from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.interface import run as run_freely
 from flora_lab.simulator.load import load
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Provenance, write_simulator
 
 CALM = {name: 0.5 * size for name, size in CHANCE.items()}
 HIDDEN = change_of({"draught": {"drive_per_cm_h": 0.12}})
@@ -447,45 +445,6 @@ def test_a_simulator_that_is_damaged_is_told(
     assert "bad.simulator" in refused(capsys, *measured(runs), "--simulator", bad, "-o", tmp_path / "out")
     gone = refused(capsys, *measured(runs), "--simulator", tmp_path / "gone", "-o", tmp_path / "out")
     assert "gone: no such simulator folder" in gone
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (
-            "dark",
-            "at time_s 7500: light levels 0 left and 0 right: this simulator was trained with either lamp full on",
-        ),
-        ("seldom", "at time_s 420: a step of 420 s; this simulator knows multiples of 300 s only"),
-    ],
-)
-def test_a_run_that_the_simulator_does_not_know_is_told_before_anything_is_learned(
-    runs: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    change: str,
-    said: str,
-) -> None:
-    simulator, one = paper(), measured(runs)[0]
-    write_simulator(
-        tmp_path / "paper.simulator",
-        kind=simulator.kind,
-        step_s=simulator.step_s,
-        weights=simulator.weights(),
-        scales=simulator.scales(),
-        provenance=Provenance("paper", 0, "test"),
-    )
-    run = run_of(30, step_s=420.0) if change == "seldom" else run_of(30)
-    if change == "dark":
-        run.light[24:60] = 0.0
-    bad = write_run(tmp_path / "bad", run)
-    monkeypatch.setattr(work, "learn_from", lambda *_: pytest.fail("began to learn"))
-    simulators = ("--simulator", tmp_path / "paper.simulator", "--reference", runs / "reference")
-    for given in ((one, bad), (one, "--holdout", bad)):
-        line = refused(capsys, *given, *simulators, "-o", tmp_path / "out").splitlines()[-1]
-        assert f"{bad} {said}" in line
-        assert line.endswith("for such runs give --reference without --simulator")
 
 
 def test_its_help_is_at_hand(capsys: pytest.CaptureFixture[str]) -> None:

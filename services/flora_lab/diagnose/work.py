@@ -132,6 +132,11 @@ def start_from(
         )
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
     judged = simulator_of(stored)
+    if isinstance(judged, CorrectedSimulator):
+        raise BadInput(
+            f"{simulator}: is a learned simulator that was corrected, which a diagnosis cannot start from; give the "
+            "learned one, or add --reference with a folder of healthy runs"
+        )
     if not isinstance(judged, GrowingSimulator):
         raise BadInput(
             f"{simulator}: its plants are all alike, so nobody knows what of a run is chance; add --reference with a "

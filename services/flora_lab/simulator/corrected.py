@@ -11,7 +11,6 @@ mechanistic plant that has the effect, and the learned simulator is shown the st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
@@ -73,14 +72,6 @@ class CorrectedSimulator(Simulator[CorrectedState]):
     def extensions(self) -> tuple[Extension, ...]:
         """The effects."""
         return self.mechanistic.extensions
-
-    def extended(self, extensions: Sequence[Extension]) -> CorrectedSimulator:
-        """The same simulator with further effects.
-
-        Raises:
-            BadInput: see :func:`flora_lab.simulator.extended.change_of`.
-        """
-        return CorrectedSimulator(self.learned, self.mechanistic.extended(extensions))
 
     def start(self, points_cm: Array, chance: Chance | None = None, before: Array | None = None) -> CorrectedState:
         """See :meth:`Simulator.start`."""
