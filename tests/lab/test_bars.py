@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.progress import TaskID
 
 from flora_lab import bars
 from flora_lab.bars import ENVIRONMENT, Bars, Teller, Told, read_told
+from flora_lab.diagnose import command
 from flora_lab.paper.screen import Screen
 
 
@@ -32,6 +35,27 @@ def test_a_bar_that_nobody_sees_is_told_all_the_same(file: Path, monkeypatch: py
         shown.update(task, visible=False, description="hidden")
         assert read_told(file) == Told("epochs", 1.0)
     assert [path.name for path in file.parent.iterdir()] == [file.name]
+
+
+def test_a_stage_of_a_diagnosis_that_begins_anew_has_one_bar(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    added: list[str] = []
+
+    def add_task(self: Bars, name: str, **fields: Any) -> TaskID:
+        added.append(name)
+        return real(self, name, **fields)
+
+    real = Bars.add_task
+    monkeypatch.setattr(Bars, "add_task", add_task)
+    monkeypatch.setattr(bars, "EVERY_S", 0.0)
+    with command._progress(silent=True) as (stage, _):
+        for total in (4, 2):
+            step = stage("looking for causes", total)
+            step()
+            assert read_told(file) == Told("looking for causes", 1.0 / total)
+            for _more in range(total - 1):
+                step()
+            assert read_told(file) == Told("looking for causes", 1.0)
+    assert added == ["looking for causes"]
 
 
 def test_it_is_told_now_and_then_and_at_once_where_the_work_is_another(file: Path) -> None:

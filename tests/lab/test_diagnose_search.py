@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from diagnose_runs import Effects, base, scenes_of
+from diagnose_runs import Effects, base, known, scenes_of
 
 from flora_lab.diagnose import chance, search
+from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.joint import Found, Joint, ready
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
@@ -70,3 +73,21 @@ def test_what_is_looked_at_stays_within_reach() -> None:
     assert there.evidence > before.evidence + 5.0
     assert opposite.values()[0]["amplitude"] == 0.0
     assert opposite.evidence < before.evidence + 0.01
+
+
+def test_each_search_tells_as_many_causes_as_it_said_that_it_would() -> None:
+    said, told = [], []
+
+    def begun(causes: int) -> Callable[[], None]:
+        said.append(causes)
+        told.append(0)
+
+        def one_more() -> None:
+            told[-1] += 1
+
+        return one_more
+
+    with one_blas_thread():
+        Explainer(scenes_of((80,), {"draught": {"drive_per_cm_h": 0.2}}), known(), begun).explain()
+    assert len(said) > 1
+    assert told == said

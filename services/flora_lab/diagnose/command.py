@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 
 from flora_common.errors import BadInput
 from flora_common.outputs import must_be_new
@@ -83,14 +83,18 @@ def _task(text: str) -> Any:
 
 @contextlib.contextmanager
 def _progress(silent: bool) -> Iterator[tuple[Callable[[str, int], Callable[[], None]], Callable[[str], None]]]:
-    """A bar for each stage on a terminal; nothing elsewhere. Notes go to stderr."""
+    """A bar for each stage on a terminal, for one that begins anew the same; nothing elsewhere. Notes go to stderr."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Bars(*columns, console=console, disable=silent or not console.is_terminal, transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
 
         def stage(name: str, total: int) -> Callable[[], None]:
-            task = bars.add_task(name, total=total)
-            return lambda: bars.advance(task)
+            if name in tasks:
+                bars.reset(tasks[name], total=total)
+            else:
+                tasks[name] = bars.add_task(name, total=total)
+            return lambda: bars.advance(tasks[name])
 
         def note(text: str) -> None:
             console.print(f"note: {text}", markup=False, soft_wrap=True)

@@ -63,18 +63,23 @@ class Explainer:
     Args:
         scenes: the measured runs.
         known: what the reference tells.
-        on_step: told that a cause has been tried.
+        on_search: told how many causes are tried next, on top of those found; what it gives is called after each.
 
     Attributes:
         scenes: the runs as they are compared; their ends may be left out.
         claims: how much evidence it takes.
     """
 
-    def __init__(self, scenes: Sequence[Scene], known: Knowledge, on_step: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        known: Knowledge,
+        on_search: Callable[[int], Callable[[], None]] = lambda _: lambda: None,
+    ) -> None:
         self.scenes = scenes
         self.known = known
         self.claims = claims_of(known, len(scenes))
-        self._on_step = on_step
+        self._on_search = on_search
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
 
@@ -217,7 +222,7 @@ class Explainer:
         there = set(before.hypothesis.names())
         tried: list[Tried] = []
         effects = [e for e in CATALOGUE if e.forms and e.name != SWING and e.name not in there and self._may_be(e)]
-        for effect, fit in search.best_of_each(joint, before, effects, self._on_step):
+        for effect, fit in search.best_of_each(joint, before, effects, self._on_search(len(effects))):
             tried.append(_tried(before, effect, fit))
         tried.sort(key=lambda t: -t.gain)
         while tried and tried[0].found is not None and not tried[0].found.jacobians:

@@ -29,7 +29,7 @@ from flora_lab.diagnose.residuals import ResidualTables, residuals_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
-from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
+from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator, Learned
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
@@ -40,7 +40,7 @@ from flora_lab.threads import one_blas_thread
 from flora_lab.train.growing import range_of
 
 OnStage = Callable[[str, int], Callable[[], None]]
-"""Begins a stage of so many steps, and is told of each."""
+"""Begins a stage of so many steps, and is told of each; one of the same name begins anew."""
 
 IN_PLANTS: Final = ("plant", "simulator")
 
@@ -179,9 +179,8 @@ def diagnose(
     start = start_from(runs, further, simulator, reference, stage)
     terms = start.simulator.terms
     scenes = runs.scenes(start.usual_c, terms)
-    step = stage("looking for causes", len(CATALOGUE))
     with one_blas_thread():
-        explainer = Explainer(scenes, start.known, step)
+        explainer = Explainer(scenes, start.known, lambda causes: stage("looking for causes", causes))
         explanation = explainer.explain()
         left_out = clocks.left_out(scenes, explainer.scenes)
         scenes = list(explainer.scenes)
