@@ -27,7 +27,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _learns_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "learn_from", lambda *_: pytest.fail("began to learn"))
+    monkeypatch.setattr(work, "learned_base", lambda *_: pytest.fail("began to learn"))
 
 
 def written(path: Path, simulator: PaperSimulator | CorrectedSimulator) -> Path:

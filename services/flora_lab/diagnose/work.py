@@ -12,15 +12,15 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadInput
-from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, clocks, emulated, stored_base
-from flora_lab.diagnose.cross_fit import ROUNDS, learn_from
+from flora_lab.diagnose.cross_fit import ROUNDS
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_known, check_unseen, read_holdout, read_reference, read_runs
 from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.learned_base import learned_base
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.mended_simulator import Mended
 from flora_lab.diagnose.mended_simulator import mended as mended_of
@@ -35,9 +35,8 @@ from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import EXTENSION, Extension, Provenance, Stored, TrackEntry, read_stored, software
+from flora_lab.simulator.store import EXTENSION, Extension, Provenance, Stored, read_stored
 from flora_lab.threads import one_blas_thread
-from flora_lab.train.growing import range_of
 
 OnStage = Callable[[str, int], Callable[[], None]]
 """Begins a stage of so many steps, and is told of each; one of the same name begins anew."""
@@ -114,8 +113,7 @@ def start_from(
     if reference is not None:
         healthy = read_reference(reference, runs)
         check_unseen(held_out, {track.sha256 for track in healthy.tracks})
-        provenance = _provenance(healthy, "the runs of --reference")
-        start = _learned(healthy, provenance, f"{len(healthy.measured)} reference runs", stage)
+        start = _learned(healthy, "the runs of --reference", f"{len(healthy.measured)} reference runs", stage)
         return replace(start, judged=stored)
     assert simulator is not None
     assert stored is not None
@@ -146,18 +144,14 @@ def start_from(
     words = (
         f"{len(told.measured)} runs of {simulator.name} itself: what it is wrong in is judged by its own chance alone"
     )
-    start = _learned(told, _provenance(told, f"runs simulated by {simulator.name}"), words, stage)
+    start = _learned(told, f"runs simulated by {simulator.name}", words, stage)
     return replace(start, judged=stored)
 
 
-def _learned(told: Runs, provenance: Provenance, words: str, stage: OnStage) -> Start:
-    usual_c = told.usual_temperature_c()
+def _learned(told: Runs, source: str, words: str, stage: OnStage) -> Start:
     step = stage("learning from the reference", ROUNDS)
-    with one_blas_thread():
-        known = learn_from(told.scenes(usual_c), lambda _: step())
-    lamps = next((run.lamps for run in told.measured if run.lamps is not None), LampsSection())
-    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c, known.law)
-    return Start(simulator, known, usual_c, provenance, words, is_new=True)
+    simulator, known, provenance = learned_base(told, source, step)
+    return Start(simulator, known, simulator.usual_temperature_c, provenance, words, is_new=True)
 
 
 def diagnose(
@@ -262,16 +256,6 @@ def _described(left: Left) -> Described | None:
         return None
     size = [round(float(value), 4) for value in found.size]
     return Described(found.drive, found.course.where, size, round(found.gain, 1), found.words)
-
-
-def _provenance(told: Runs, words: str) -> Provenance:
-    return Provenance(
-        recipe="diagnose",
-        seed=0,
-        software=software(),
-        split=f"learned from {words}; the runs that are diagnosed are others",
-        track=[TrackEntry(run.name, run.plant, run.sha256) for run in told.measured if run.sha256],
-    )
 
 
 def _base_words(known: Knowledge) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from flora_common.runs import LEVELS, LampsSection, Light
 from flora_common.shapes import STEM_POINTS
 from flora_common.tracks import Track
 from flora_lab.diagnose import record, stored_base
-from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.inputs import Runs, read_reference
 from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.learned_base import learned_base
 from flora_lab.run_tracks import RunTrack
 from flora_lab.serve import departing
 from flora_lab.serve.departing import Watched
@@ -26,10 +26,8 @@ from flora_lab.serve.tasks import LearnTask, LookTask
 from flora_lab.serve.watching import Looked
 from flora_lab.simulator.measured import MeasuredRun, in_steps, step_of
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Provenance, TrackEntry, read_stored, software
+from flora_lab.simulator.store import read_stored
 from flora_lab.simulator.terms import ExtendedLaw
-from flora_lab.threads import one_blas_thread
-from flora_lab.train.growing import range_of
 
 
 def learned(task: LearnTask) -> Path:
@@ -43,15 +41,7 @@ def learned(task: LearnTask) -> Path:
     path = task.output / f"base-{content[:8]}.simulator"
     if path.is_dir():
         return path
-    usual_c = told.usual_temperature_c()
-    with one_blas_thread():
-        known = learn_from(told.scenes(usual_c))
-    lamps = next((run.lamps for run in told.measured if run.lamps is not None), LampsSection())
-    simulator = stored_base.simulator_of(known.base, lamps, range_of(told.measured), usual_c, known.law)
-    track = [TrackEntry(run.name, run.plant, run.sha256) for run in told.measured]
-    provenance = Provenance(
-        recipe="diagnose", seed=0, software=software(), split=f"learned from the runs in {task.reference}", track=track
-    )
+    simulator, known, provenance = learned_base(told, f"the runs in {task.reference}")
     stored_base.write_known(path, simulator, known, provenance)
     return path
 
