@@ -156,9 +156,14 @@ def other_shape(arrays: Weights) -> None:
     arrays["diagnose.spread"] = np.eye(3)
 
 
+def of_two_runs(arrays: Weights) -> None:
+    arrays["diagnose.shown.misfit"] = arrays["diagnose.shown.misfit"][:2].copy()
+
+
 BAD: Mapping[str, tuple[dict[str, Any], str]] = {
     "missing": ({"weights": without("diagnose.sizes")}, "holds no `diagnose.sizes`"),
     "shown": ({"weights": without("diagnose.shown.misfit")}, "holds no `diagnose.shown.misfit`"),
+    "few": ({"weights": of_two_runs}, "`diagnose.shown.misfit` is of 2 runs, at least 3 are needed"),
     "shape": ({"weights": other_shape}, "`diagnose.spread` is (3, 3); expected (9, 9)"),
     "effects": ({"causes": ["hope 0"]}, "was made by a version that knows other effects"),
     "no effects": ({"causes": None}, "was made by a version that knows other effects"),

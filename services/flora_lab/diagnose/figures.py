@@ -39,8 +39,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     at = (np.arange(FINE_BINS) + 0.5) * FINE_H
     for s, (ax, side) in enumerate(zip((left, right), statistics.SIDES, strict=True)):
         ax.set_facecolor(LAMP_TINTS[side])
-        if base.reference is not None:
-            _reference_band(ax, at, base.reference.by_switch_mm[base.plant][:, s])
+        _reference_band(ax, at, base.reference.by_switch_mm[base.plant][:, s])
         _runs_and_mean(ax, at, base.shown.by_switch_mm[base.plant][:, s], BLUE)
         if extended is not None:
             _runs_and_mean(ax, at, extended.shown.by_switch_mm[base.plant][:, s], ORANGE)
@@ -52,8 +51,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         ax.tick_params(labelsize=8)
     left.set_ylabel("tip, measured minus simulated, mm\nleft  –  right", fontsize=9)
     at = (np.arange(statistics.CLOCKS) + 0.5) * statistics.CLOCK_H
-    if base.reference is not None:
-        _reference_band(clock, at, base.reference.by_clock_mm_h[base.plant])
+    _reference_band(clock, at, base.reference.by_clock_mm_h[base.plant])
     _runs_and_mean(clock, at, base.shown.by_clock_mm_h[base.plant], BLUE)
     if extended is not None:
         _runs_and_mean(clock, at, extended.shown.by_clock_mm_h[base.plant], ORANGE)
@@ -64,7 +62,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     clock.set_xlim(0.0, 24.0)
     clock.set_xticks(np.arange(0.0, 25.0, 6.0))
     clock.tick_params(labelsize=8)
-    legend(figure, extended is not None, measured=False, reference=base.reference is not None)
+    legend(figure, extended is not None, measured=False, reference=True)
     return png(figure)
 
 
@@ -73,9 +71,8 @@ def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     figure = new_figure(WIDE_IN, 3.3)
     stem, time = figure.subplots(1, 2, width_ratios=(1.0, 1.5))
     points = np.arange(2, 2 + base.shown.profile_mm[base.plant].shape[1])
-    if base.reference is not None:
-        low, high = np.percentile(base.reference.profile_mm[base.plant], (5.0, 95.0), axis=0)
-        stem.fill_betweenx(points, low, high, color=CHANCE, linewidth=0)
+    low, high = np.percentile(base.reference.profile_mm[base.plant], (5.0, 95.0), axis=0)
+    stem.fill_betweenx(points, low, high, color=CHANCE, linewidth=0)
     for tables, colour in ((base, BLUE), (extended, ORANGE)):
         if tables is None:
             continue
@@ -101,7 +98,7 @@ def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     time.set_xlim(0.0, max(float(run.time_h[-1]) for run in base.runs))
     time.tick_params(labelsize=8)
     time.grid(color=GRID, linewidth=0.6)
-    legend(figure, extended is not None, measured=False, reference=base.reference is not None)
+    legend(figure, extended is not None, measured=False, reference=True)
     return png(figure)
 
 
@@ -111,8 +108,7 @@ def spectra(base: ResidualTables, swing: Swing | None) -> bytes:
     ax = figure.subplots()
     marks: list[Any] = [Line2D([], [], color=BLUE, linewidth=1.5)]
     names = ["measured runs"]
-    usual = base.reference.swing_mm if base.reference is not None else np.empty((0, len(SWING_PERIODS_H)))
-    usual = usual[np.isfinite(usual).all(axis=1)]
+    usual = base.reference.swing_mm[np.isfinite(base.reference.swing_mm).all(axis=1)]
     if len(usual):
         ax.fill_between(SWING_PERIODS_H, usual.min(axis=0), usual.max(axis=0), color=CHANCE, linewidth=0)
         ax.plot(SWING_PERIODS_H, np.median(usual, axis=0), color=GREY, linewidth=1.0)

@@ -36,23 +36,21 @@ class Looks:
 
     Attributes:
         numbers: of the measured runs, by simulated plant, shape (runs, k).
-        reference: of the reference runs, or None.
-        compared: both beside each other, the typical ones first; None without reference runs.
+        reference: of the reference runs.
+        compared: both beside each other, the typical ones first.
         p_value: altogether.
         p_by_fit: by the misfit alone.
     """
 
     numbers: dict[Plant, Array]
-    reference: dict[Plant, Array] | None
-    compared: Comparison | None
+    reference: dict[Plant, Array]
+    compared: Comparison
     p_value: float
     p_by_fit: float
 
     @property
     def clearer_plant(self) -> Plant:
         """Constants of their own can absorb an effect; where they do not, they let it be seen more clearly."""
-        if self.compared is None:
-            return "own"
         most = np.nan_to_num(np.abs(self.compared.away)).reshape(len(PLANTS), -1).max(axis=1)
         return PLANTS[int(np.argmax(most))]
 
@@ -83,12 +81,9 @@ def one_in(p_value: float) -> str:
 def _size(looks: Looks, runs: Sequence[Replayed]) -> str:
     """How far off the tip is, and how far off it is in reference runs."""
     here = {p: rms(np.concatenate([np.hypot(*run.error_mm(p)[:, -1].T) for run in runs])) for p in PLANTS}
-    usual = dict.fromkeys(PLANTS, "")
-    if looks.reference is not None:
-        place = statistics.of_group("size")[0]
-        logs = {p: looks.reference[p][:, place] for p in PLANTS}
-        sizes = {p: mm(float(np.sqrt(np.mean(np.exp(2.0 * logs[p]))))) for p in PLANTS}
-        usual = {"typical": f" (reference runs: {sizes['typical']})", "own": f" (reference runs: {sizes['own']})"}
+    place = statistics.of_group("size")[0]
+    logs = {p: looks.reference[p][:, place] for p in PLANTS}
+    usual = {p: f" (reference runs: {mm(float(np.sqrt(np.mean(np.exp(2.0 * logs[p])))))})" for p in PLANTS}
     return (
         f"Told only the first stem and the lamps, the simulated typical plant's tip is {mm(here['typical'])} from the "
         f"measured one{usual['typical']}; with constants of each plant's own it is {mm(here['own'])}{usual['own']}."
@@ -99,10 +94,9 @@ def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> li
     """One sentence for what stands out most, and one more if another kind of thing stands out too."""
     scores = [_score(looks, story) for story in _STORIES]
     order = np.argsort(scores)[::-1]
-    limit = looks.compared.remarkable if looks.compared is not None else 1.0
     out = []
     for rank, k in enumerate(order[:2]):
-        if scores[k] < limit:
+        if scores[k] < looks.compared.remarkable:
             break
         story = _STORIES[k]
         if "sideways" in story:
@@ -123,14 +117,10 @@ def _pattern(looks: Looks, runs: Sequence[Replayed], is_significant: bool) -> li
 
 
 def _score(looks: Looks, story: Sequence[Group]) -> float:
-    """How much stands out there: in standard errors, or without reference runs in rough units of what is usual."""
+    """How much stands out there, in standard errors."""
     places = np.concatenate([statistics.of_group(group) for group in story])
-    if looks.compared is not None:
-        both = np.concatenate([looks.compared.away[places], looks.compared.away[places + statistics.COUNT]])
-        return float(np.nan_to_num(np.abs(both)).max())
-    usual = {"sideways": 5.0, "lean": 5.0, "growth": 0.3, "height": 8.0, "swing": np.inf}[story[0]]
-    numbers = looks.numbers[looks.clearer_plant][:, places]
-    return float(np.nan_to_num(np.abs(statistics.mean_over_runs(numbers))).max() / usual)
+    both = np.concatenate([looks.compared.away[places], looks.compared.away[places + statistics.COUNT]])
+    return float(np.nan_to_num(np.abs(both)).max())
 
 
 def _means(numbers: Array, group: Group) -> Array:
@@ -138,18 +128,14 @@ def _means(numbers: Array, group: Group) -> Array:
     return np.nan_to_num(statistics.mean_over_runs(numbers[:, statistics.of_group(group)]))
 
 
-def _clearest(looks: Looks, group: Group, means: Array) -> int:
-    """Which number of a group stands out most; without reference runs the largest."""
-    if looks.compared is None:
-        return int(np.argmax(np.abs(means)))
+def _clearest(looks: Looks, group: Group) -> int:
+    """Which number of a group stands out most."""
     away = looks.compared.away.reshape(len(PLANTS), -1)[PLANTS.index(looks.clearer_plant)]
     return int(np.argmax(np.nan_to_num(np.abs(away[statistics.of_group(group)]))))
 
 
 def _differ(looks: Looks, group: Group) -> str:
     """How far plants differ in these numbers anyway."""
-    if looks.reference is None:
-        return ""
     known = looks.reference[looks.clearer_plant][:, statistics.of_group(group)]
     spread = rms(known)
     unit = "mm/h" if group == "growth" else "mm"
@@ -221,7 +207,7 @@ def _faster(value: float) -> str:
 
 def _height(looks: Looks) -> str:
     by_day = _means(looks.numbers[looks.clearer_plant], "height")
-    day = _clearest(looks, "height", by_day)
+    day = _clearest(looks, "height")
     way = "higher" if by_day[day] > 0 else "lower"
     return f"The tip is {mm(abs(by_day[day]))} {way} than simulated on day {day + 1}{_differ(looks, 'height')}."
 
@@ -236,9 +222,6 @@ def _swing(runs: Sequence[Replayed]) -> str:
 
 def _verdict(looks: Looks, is_significant: bool) -> str:
     p = p_text(looks.p_value)
-    if looks.reference is None:
-        more = "more" if is_significant else "no more"
-        return f"That is {more} than the simulator's own chance makes of it ({p})."
     if not is_significant:
         return f"Taken as a whole, that is no more than plants and chance make of it ({p})."
     return f"That is more than plants and chance make of it ({p}{one_in(looks.p_value)})."

@@ -27,7 +27,6 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 
 SIGNIFICANT: Final = 0.05
-FEWEST_REFERENCE: Final = 3
 _LEAST_LOG_SD: Final = 0.2
 """How runs in which nothing is wrong differ in the logarithm of their misfit, at the least: the chance that reference
 runs are judged by was fitted to them, so that they differ less than others do."""
@@ -76,13 +75,13 @@ class ResidualTables:
     Attributes:
         runs: measured and simulated.
         shown: what their residuals look like.
-        reference: what those of reference runs look like, or None.
+        reference: what those of reference runs look like.
         plant: of the two that are simulated, the one by which the residuals stand out more from the reference runs'.
     """
 
     runs: tuple[Replayed, ...]
     shown: Shown
-    reference: Shown | None
+    reference: Shown
     plant: Plant
 
 
@@ -127,7 +126,7 @@ def from_arrays(arrays: Mapping[str, Array]) -> ReferenceResiduals:
 
 
 def residuals_of(
-    scenes: Sequence[Scene], base: Base, null: Found, reference: ReferenceResiduals | None
+    scenes: Sequence[Scene], base: Base, null: Found, reference: ReferenceResiduals
 ) -> tuple[Residuals, ResidualTables]:
     """What a simulator gets wrong about measured runs.
 
@@ -135,7 +134,7 @@ def residuals_of(
         scenes: one per run.
         base: what is known of plants.
         null: the fit of the plants. Its causes, where it has any, are part of the simulator that is judged.
-        reference: of the runs that the base was learned from; None where there are none.
+        reference: of the runs that the base was learned from.
     """
     change = null.hypothesis.change(null.coordinates)
     runs = [
@@ -143,18 +142,16 @@ def residuals_of(
         for scene, traits, start in zip(scenes, null.traits, null.start, strict=True)
     ]
     shown = _shown(runs)
-    p_by_fit = p_value = _misfit_p(scenes, null, reference)
-    known = reference.shown if reference is not None and len(reference.misfit) >= FEWEST_REFERENCE else None
-    compared = None
-    if known is not None:
-        groups = [statistics.of_group(group) for group in statistics.GROUPS]
-        compared = statistics.compared(
-            np.concatenate([shown.numbers["typical"], shown.numbers["own"]], axis=1),
-            np.concatenate([known.numbers["typical"], known.numbers["own"]], axis=1),
-            [*groups, *(group + statistics.COUNT for group in groups)],
-        )
-        p_value = min(1.0, 2.0 * min(p_by_fit, compared.p_value))
-    looks = Looks(shown.numbers, None if known is None else known.numbers, compared, p_value, p_by_fit)
+    known = reference.shown
+    groups = [statistics.of_group(group) for group in statistics.GROUPS]
+    compared = statistics.compared(
+        np.concatenate([shown.numbers["typical"], shown.numbers["own"]], axis=1),
+        np.concatenate([known.numbers["typical"], known.numbers["own"]], axis=1),
+        [*groups, *(group + statistics.COUNT for group in groups)],
+    )
+    p_by_fit = _misfit_p(scenes, null, reference)
+    p_value = min(1.0, 2.0 * min(p_by_fit, compared.p_value))
+    looks = Looks(shown.numbers, known.numbers, compared, p_value, p_by_fit)
     plant = looks.clearer_plant
     size_mm = rms(np.concatenate([_tip_mm(run, "typical") for run in runs]))
     said = Residuals(
@@ -208,12 +205,10 @@ def _profile_mm(run: Replayed, plant: Plant) -> Array:
     return np.array([rms(error[:, point]) for point in range(1, error.shape[1])])
 
 
-def _misfit_p(scenes: Sequence[Scene], null: Found, reference: ReferenceResiduals | None) -> float:
+def _misfit_p(scenes: Sequence[Scene], null: Found, reference: ReferenceResiduals) -> float:
     """Probability that runs in which nothing is wrong fit as badly; misfits are log-normal over runs."""
     count = len(scenes)
     here = float(np.log(2.0 * null.misfit / sum(scene.size for scene in scenes)))
-    if reference is None or len(reference.misfit) < FEWEST_REFERENCE:
-        return float(scipy.stats.norm.sf(here / (_LEAST_LOG_SD / np.sqrt(count))))
     logs = np.log(reference.misfit)
     spread = max(float(logs.std(ddof=1)), _LEAST_LOG_SD)
     away = (here - float(logs.mean())) / (spread * np.sqrt(1.0 / count + 1.0 / len(logs)))
@@ -266,8 +261,8 @@ def _when(runs: Sequence[Replayed], shown: Shown, looks: Looks) -> dict[str, Any
         "one_step": _one_step(runs),
         "runs": {run.name: _rounded(rms_mm=rms(_tip_mm(run, "typical"))) for run in runs},
         "p_value": looks.p_value,
-        "p_value_by_exchange": looks.compared.p_value if looks.compared is not None else None,
-        "ways_to_exchange": looks.compared.ways if looks.compared is not None else 0,
+        "p_value_by_exchange": looks.compared.p_value,
+        "ways_to_exchange": looks.compared.ways,
         "p_value_by_misfit": looks.p_by_fit,
     }
 

@@ -13,6 +13,7 @@ from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, residuals, usual_errors
 from flora_lab.diagnose.courses import TRIED
+from flora_lab.diagnose.inputs import FEWEST_REFERENCES
 from flora_lab.diagnose.joint import TRAITS, Base
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.rhythm import Swings
@@ -97,8 +98,6 @@ def write_known(
     known: Knowledge,
     provenance: Provenance,
     extensions: Sequence[Extension] = (),
-    *,
-    force: bool = False,
 ) -> None:
     """Write the folder, whole or not at all; with extensions it is the extended simulator.
 
@@ -136,7 +135,6 @@ def write_known(
         scales=simulator.scales() | {"diagnose": told},
         provenance=provenance,
         extensions=(*simulator.extensions, *extensions),
-        force=force,
     )
 
 
@@ -188,8 +186,14 @@ def _shown(stored: Stored) -> residuals.ReferenceResiduals:
     told = {name[len(start) :]: array for name, array in stored.weights.items() if name.startswith(start)}
     arrays = {name: np.where(array == _MISSING, np.nan, array) for name, array in told.items()}
     try:
-        return residuals.from_arrays(arrays)
+        shown = residuals.from_arrays(arrays)
     except KeyError as problem:
         raise BadInput(
             f"{stored.path}: holds no `{start}{problem.args[0]}`; learn it anew with --reference"
         ) from problem
+    if len(shown.misfit) < FEWEST_REFERENCES:
+        raise BadInput(
+            f"{stored.path}: `{start}misfit` is of {len(shown.misfit)} runs, at least {FEWEST_REFERENCES} are needed; "
+            "learn it anew with --reference"
+        )
+    return shown
