@@ -20,6 +20,7 @@ from flora_common.runs import LEVELS
 from flora_common.toml_strict import convert, read_toml
 from flora_controller.core import ControllerSection
 from flora_lab.diagnose import chance
+from flora_lab.diagnose import next_experiment as next_experiment_module
 from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.explanation import Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
@@ -138,14 +139,15 @@ def explanation_of(scenes: Sequence[Scene], base: Base, gains: dict[str, float],
     return Explanation(null, tried[0].found, None, (stage,), (Accepted(tried[0], stage),), joint)
 
 
-def test_what_a_further_run_tells_is_told_before_it_is_made() -> None:
+def test_what_a_further_run_tells_is_told_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     base, names = known().base, ["gravitropism", "proprioception"]
     factor = {"gravitropism": {"factor": 2.2}}
     before_runs = list(early("gravitropism", "factor", 2.2))
     before = fitted(before_runs, base, names)
     candidates = [Candidate(name, before[name], 0.0) for name in names]
-    schedules = [turns_of(1.0), turns_of(8.0)]
-    row = separating(before_runs, base, candidates, schedules=schedules)["gravitropism", "proprioception"]
+    schedules = (turns_of(1.0), turns_of(8.0))
+    monkeypatch.setattr(next_experiment_module, "CHOICE", schedules)
+    row = separating(before_runs, base, candidates)["gravitropism", "proprioception"]
     told = {}
     for schedule in schedules:
         light = schedule.levels(288, STEPS_H)

@@ -147,22 +147,21 @@ def separating(
     base: Base,
     candidates: Sequence[Candidate],
     swing: Swing | None = None,
-    schedules: Sequence[Schedule] = CHOICE,
     errors: UsualErrors | None = None,
 ) -> Separating:
-    """How many nats a further run would bring, on the mean, between each two causes of which one is true.
+    """How many nats a further run under each of :data:`CHOICE` would bring, on the mean, between two causes of which
+    either is true.
 
     Args:
         scenes: runs that were made: a further one is as long, as warm, and of plants as long at the start.
         base: what is known of plants.
         candidates: the causes.
         swing: of the tip, that is there besides.
-        schedules: to compare.
         errors: what the law is wrong in.
     """
     pairs = list(itertools.combinations(candidates, 2))
     told: Separating = {(a.name, b.name): {} for a, b in pairs}
-    for schedule in schedules:
+    for schedule in CHOICE:
         scene = planned(scenes, schedule)
         answers = scene.answers(base.mean, Change())
         besides = np.zeros((scene.size, scene.size))
