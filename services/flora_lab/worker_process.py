@@ -42,10 +42,6 @@ class Worker:
         self._process.start()
         theirs.close()
 
-    @property
-    def pid(self) -> int | None:
-        return self._process.pid
-
     def employ(self, work: Callable[[Any], Any]) -> None:
         """What it does with tasks from now on; ``work`` can be pickled.
 

@@ -151,11 +151,6 @@ class LocalCrew:
         self._workers.clear()
 
     @property
-    def pids(self) -> list[int | None]:
-        """Of the processes."""
-        return [worker.pid for worker in self._workers]
-
-    @property
     def room(self) -> int:
         return len(self._idle) if self._jobs > 1 else 1 - len(self._waiting)
 
