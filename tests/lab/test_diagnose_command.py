@@ -220,7 +220,7 @@ def test_without_a_report_nothing_is_drawn_and_all_else_is_as_before(
     assert len(left_out) > 5
     assert files_of(tmp_path / "out") == {name: data for name, data in whole.items() if name not in left_out}
     # What cannot be written to its end leaves nothing.
-    monkeypatch.setattr(folder.corrected, "write", lambda *_: 1 / 0)
+    monkeypatch.setattr(folder.corrected_tracks, "write", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         folder.write_without_report(tmp_path / "broken", RESULTS[0])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

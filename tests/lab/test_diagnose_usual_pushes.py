@@ -15,8 +15,8 @@ from flora_lab.diagnose import chance
 from flora_lab.diagnose.courses import SIZE, TRIED
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
+from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Joint, ready
-from flora_lab.diagnose.linear import Linear
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
 from flora_lab.effects.effect import Change
@@ -86,7 +86,7 @@ def test_what_goes_far_beyond_it_is() -> None:
 
 
 def test_nothing_is_taken_off_what_is_the_other_way_round() -> None:
-    told = Linear(400.0 * np.eye(2), np.array([100.0, 0.0]))  # a quarter, and not known to a twentieth
+    told = InformationForm(400.0 * np.eye(2), np.array([100.0, 0.0]))  # a quarter, and not known to a twentieth
     usual = no_pushes()
     assert usual.nats(DAY, told, 3) == 0.0
     usual.mean[DAY] = (-0.25, 0.0)
@@ -96,7 +96,7 @@ def test_nothing_is_taken_off_what_is_the_other_way_round() -> None:
 
 
 def test_where_plants_scatter_many_are_better_known_than_few() -> None:
-    told = Linear(400.0 * np.eye(2), np.array([100.0, 0.0]))
+    told = InformationForm(400.0 * np.eye(2), np.array([100.0, 0.0]))
     usual = no_pushes()
     usual.scatter[DAY] = 0.3
     assert usual.nats(DAY, told, 1) > usual.nats(DAY, told, 100) > 0.0

@@ -18,7 +18,7 @@ from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.run_tracks import RunTrack
-from flora_lab.simulator.corrected import CorrectedSimulator, Learned
+from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
 from flora_lab.simulator.drives import DriveNoise
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.individual import Prior
@@ -75,7 +75,7 @@ def test_it_keeps_what_simulated_plants_promise(measured: list[MeasuredRun]) -> 
 
 
 @both
-def test_without_effects_it_is_the_learned_simulator(make: Callable[[], Learned]) -> None:
+def test_without_effects_it_is_the_learned_simulator(make: Callable[[], LearnedSimulator]) -> None:
     light = lit(48, RIGHT, LEFT)
     for extensions in ([], [Extension("gravitropism", {"factor": 1.0})]):
         plant, learned = CorrectedSimulator(make(), rod().extended(extensions)), make()
@@ -89,7 +89,7 @@ def test_without_effects_it_is_the_learned_simulator(make: Callable[[], Learned]
 
 
 @both
-def test_it_adds_what_the_effect_makes_of_the_mechanistic_plant(make: Callable[[], Learned]) -> None:
+def test_it_adds_what_the_effect_makes_of_the_mechanistic_plant(make: Callable[[], LearnedSimulator]) -> None:
     plain, light = rod(), lit(48, RIGHT, LEFT)
     extended = plain.extended([GROWTH, DRAUGHT])
     chance, before = Chance(np.array([7])), np.array([LEFT])
@@ -145,7 +145,7 @@ def test_either_part_tells_that_it_was_never_shown_the_like() -> None:
 
 
 @both
-def test_a_light_and_a_step_that_the_learned_one_does_not_know_are_told(make: Callable[[], Learned]) -> None:
+def test_a_light_and_a_step_that_the_learned_one_does_not_know_are_told(make: Callable[[], LearnedSimulator]) -> None:
     plant = CorrectedSimulator(make(), rod().extended([DRAUGHT]))
     state = plant.start(upright())
     with pytest.raises(BadInput):
@@ -170,7 +170,7 @@ def written(path: Path, plant: CorrectedSimulator, **changes: Any) -> Path:
 
 
 @both
-def test_read_again_it_is_the_same_plant(tmp_path: Path, make: Callable[[], Learned]) -> None:
+def test_read_again_it_is_the_same_plant(tmp_path: Path, make: Callable[[], LearnedSimulator]) -> None:
     plant = CorrectedSimulator(make(), rod().extended([GROWTH, DRAUGHT, WARMTH]))
     folder = written(tmp_path / "sim", plant)
     again = load(folder)

@@ -19,7 +19,7 @@ import msgspec
 
 from flora_common import files
 from flora_lab.diagnose import (
-    corrected,
+    corrected_tracks,
     figures,
     figures_of_controllers,
     figures_of_learned,
@@ -79,7 +79,7 @@ def _write_found(folder: Path, result: Result) -> None:
     elif result.extensions:
         provenance = _and_from(start.provenance, result, EXTENSION)
         stored_base.write_known(folder / EXTENDED, start.simulator, start.known, provenance, result.extensions)
-    corrected.write(folder / CORRECTED, result.runs, result.explanation.found)
+    corrected_tracks.write(folder / CORRECTED, result.runs, result.explanation.found)
     asked = result.diagnosis.next_experiment
     chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
     if chosen is not None:

@@ -16,7 +16,7 @@ import scipy.linalg
 
 from flora_common.arrays import Array
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis, pushed_by
-from flora_lab.diagnose.linear import Linear
+from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.scene import START_SD, Lanes, Scene
 from flora_lab.effects.effect import Change
 from flora_lab.levenberg_marquardt import descended
@@ -258,7 +258,7 @@ class Joint:
         first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
         return np.concatenate([told, first], axis=1)
 
-    def beside(self, found: Found, pushed: Sequence[Array]) -> Linear:
+    def beside(self, found: Found, pushed: Sequence[Array]) -> InformationForm:
         """What runs tell of something beside an explanation that pushes features in proportion to its sizes.
 
         All is linear about the explanation, whose plants and parameters give way.
@@ -278,7 +278,7 @@ class Joint:
             pull += white.T @ found.residuals[run]
             across[self._places(run, count, q)] += found.jacobians[run].T @ white
         gives_way = np.linalg.solve(normal, np.column_stack([across, downhill]))
-        return Linear(information - across.T @ gives_way[:, :-1], pull - across.T @ gives_way[:, -1])
+        return InformationForm(information - across.T @ gives_way[:, :-1], pull - across.T @ gives_way[:, -1])
 
     def probability(self, found: Found) -> float:
         """The evidence of a fit beside those of the same runs with other errors by chance: with these errors' size."""

@@ -17,8 +17,8 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose.courses import LOOKED, SIZE, TRIED, pushed_along
+from flora_lab.diagnose.information_form import InformationForm, together
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready
-from flora_lab.diagnose.linear import Linear, together
 from flora_lab.diagnose.scene import Answers
 
 COLUMNS: Final = 2
@@ -41,7 +41,7 @@ class UsualPushes:
     doubt: Array
     scatter: Array
 
-    def nats(self, which: int, told: Linear, runs: int) -> float:
+    def nats(self, which: int, told: InformationForm, runs: int) -> float:
         """How much of the evidence for a push in some runs is what healthy ones show as well; not negative.
 
         Args:
@@ -70,7 +70,7 @@ def usual_pushes(runs: Sequence[Ready], fits: Sequence[Found], answers: Sequence
         base: that they were fitted with, for single runs.
     """
     usual = no_pushes()
-    told: list[list[Linear]] = [[] for _ in TRIED]
+    told: list[list[InformationForm]] = [[] for _ in TRIED]
     for run, fit, own in zip(runs, fits, answers, strict=True):
         for which, one in enumerate(told_of_all(Joint([run], base), fit, [pushed_along(run.scene, own)])):
             told[which].append(one)
@@ -82,7 +82,7 @@ def usual_pushes(runs: Sequence[Ready], fits: Sequence[Found], answers: Sequence
     return usual
 
 
-def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -> list[Linear]:
+def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -> list[InformationForm]:
     """What runs tell of each push, all others being none.
 
     Args:
@@ -95,7 +95,7 @@ def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -
     return [told.of(slice(begin, end)) for begin, end in itertools.pairwise(ends)]
 
 
-def _plain(told: Sequence[Linear], sd: float) -> tuple[Array, Array, float]:
+def _plain(told: Sequence[InformationForm], sd: float) -> tuple[Array, Array, float]:
     """Mean, covariance of it, and scatter of one push; nothing unless it is likelier than that none of all is there."""
     one = np.eye(len(told[0].pull))
     most = LOOKED

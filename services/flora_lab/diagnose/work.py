@@ -30,7 +30,7 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
-from flora_lab.simulator.corrected import CorrectedSimulator, Learned
+from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
 from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
@@ -226,7 +226,7 @@ def _corrected(start: Start, extensions: Sequence[Extension], mended: Mended | N
     if start.judged is None or not extensions:
         return None
     learned = mended.simulator if mended is not None else simulator_of(start.judged)
-    if isinstance(learned, RodSimulator) or not isinstance(learned, Learned):
+    if isinstance(learned, RodSimulator) or not isinstance(learned, LearnedSimulator):
         return None
     return CorrectedSimulator(learned, start.simulator.extended(extensions))
 

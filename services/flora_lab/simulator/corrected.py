@@ -27,9 +27,9 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.sequence import SequenceSimulator
 from flora_lab.simulator.store import INFO_FILE, Extension, Stored
 
-Learned = PaperSimulator | SequenceSimulator | RememberingSimulator
+LearnedSimulator = PaperSimulator | SequenceSimulator | RememberingSimulator
 
-_KINDS: Final[dict[str, type[Learned]]] = {
+_KINDS: Final[dict[str, type[LearnedSimulator]]] = {
     kind.kind: kind for kind in (PaperSimulator, SequenceSimulator, RememberingSimulator)
 }
 _LEARNED, _MECHANISTIC = "learned", "mechanistic"
@@ -62,7 +62,7 @@ class CorrectedSimulator(Simulator[CorrectedState]):
 
     kind: ClassVar[str] = "corrected"
 
-    def __init__(self, learned: Learned, extended: RodSimulator) -> None:
+    def __init__(self, learned: LearnedSimulator, extended: RodSimulator) -> None:
         self.learned = learned
         self.mechanistic = extended
         self.step_s = learned.step_s

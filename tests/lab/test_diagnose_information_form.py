@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.linear import Linear, together
+from flora_lab.diagnose.information_form import InformationForm, together
 
-ONE = Linear(np.array([[30.0]]), np.array([12.0]))
-TWO = Linear(np.array([[30.0, 8.0], [8.0, 20.0]]), np.array([12.0, -5.0]))
+ONE = InformationForm(np.array([[30.0]]), np.array([12.0]))
+TWO = InformationForm(np.array([[30.0, 8.0], [8.0, 20.0]]), np.array([12.0, -5.0]))
 
 
-def weights(told: Linear, mean: Array, sd: float) -> tuple[Array, Array]:
+def weights(told: InformationForm, mean: Array, sd: float) -> tuple[Array, Array]:
     """All sizes of a fine grid, shape (n, k), and how much each counts before any data, times how probable it is."""
     axis = np.linspace(-3.0, 3.0, 601)
     sizes = np.stack([one.ravel() for one in np.meshgrid(*[axis] * len(told.pull), indexing="ij")], axis=1)
@@ -23,7 +23,7 @@ def weights(told: Linear, mean: Array, sd: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("told", [ONE, TWO])
 @pytest.mark.parametrize("mean", [0.0, 0.3])
-def test_evidence_is_the_mean_over_all_sizes(told: Linear, mean: float) -> None:
+def test_evidence_is_the_mean_over_all_sizes(told: InformationForm, mean: float) -> None:
     at, one = np.full(len(told.pull), mean), np.eye(len(told.pull))
     sizes, counted = weights(told, at, 0.4)
     assert told.nats(0.16 * one, at) == pytest.approx(np.log(counted.sum()), abs=1e-4)
@@ -57,5 +57,5 @@ def test_of_a_mean_less_is_told_where_sizes_scatter_about_it() -> None:
 def test_what_all_tell_is_their_sum() -> None:
     both = together([TWO, TWO])
     assert both.nats(0.16 * np.eye(2)) == pytest.approx(
-        Linear(2.0 * TWO.information, 2.0 * TWO.pull).nats(0.16 * np.eye(2))
+        InformationForm(2.0 * TWO.information, 2.0 * TWO.pull).nats(0.16 * np.eye(2))
     )

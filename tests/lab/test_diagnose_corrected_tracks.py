@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from diagnose_runs import QUIET, change_of, run_of, turns, write_run
 
-from flora_lab.diagnose import corrected
+from flora_lab.diagnose import corrected_tracks
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.joint import Found
@@ -32,7 +32,7 @@ def shown(run: MeasuredRun, change: Change) -> MeasuredRun:
 def mended(folder: Path, run: MeasuredRun, change: Change) -> RunTrack:
     track = load_run(write_run(folder, run))
     path = folder / "mended.csv"
-    path.write_text(corrected.corrected_text(track, change), encoding="utf-8")
+    path.write_text(corrected_tracks.corrected_text(track, change), encoding="utf-8")
     return load_run(path)
 
 
@@ -96,9 +96,9 @@ def found_of(name: str, *coordinates: float) -> Found:
 
 def test_only_what_is_wrong_in_the_record_is_corrected(tmp_path: Path) -> None:
     runs = runs_of(tmp_path)
-    corrected.write(tmp_path / "plant", runs, found_of("sag", 0.7))
+    corrected_tracks.write(tmp_path / "plant", runs, found_of("sag", 0.7))
     assert not (tmp_path / "plant").exists()
-    corrected.write(tmp_path / "camera", runs, found_of("camera_scale", np.log(1.1)))
+    corrected_tracks.write(tmp_path / "camera", runs, found_of("camera_scale", np.log(1.1)))
     files = sorted((tmp_path / "camera").iterdir())
     assert [file.name for file in files] == ["01-plant1.csv", "02-plant2.csv"]
     for file, run in zip(files, runs.tracks, strict=True):

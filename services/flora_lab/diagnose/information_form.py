@@ -1,4 +1,4 @@
-"""What runs tell of sizes in which all is linear: a Gaussian likelihood, by its information and its pull."""
+"""What runs tell of sizes in which all is linear: a Gaussian likelihood in its information form."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from flora_common.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Linear:
+class InformationForm:
     """How much more probable runs are with some sizes than with none: ``pull @ s - s @ information @ s / 2`` nats.
 
     Attributes:
-        information: shape (k, k).
-        pull: shape (k,).
+        information: the information matrix, shape (k, k).
+        pull: the information vector, shape (k,).
     """
 
     information: Array
     pull: Array
 
-    def of(self, part: slice) -> Linear:
+    def of(self, part: slice) -> InformationForm:
         """The same where all other sizes are none."""
-        return Linear(self.information[part, part], self.pull[part])
+        return InformationForm(self.information[part, part], self.pull[part])
 
     def nats(self, covariance: Array, mean: Array | None = None) -> float:
         """For sizes of which that was known before, against none.
@@ -44,12 +44,14 @@ class Linear:
         """The most probable sizes, each of that standard deviation before, shape (k,)."""
         return np.asarray(np.linalg.solve(self.information + np.eye(len(self.pull)) / sd**2, self.pull))
 
-    def scattered(self, sd: float) -> Linear:
+    def scattered(self, sd: float) -> InformationForm:
         """What is told of the mean of sizes that scatter about it by so much, but for a constant."""
         whole = np.eye(len(self.pull)) + sd**2 * self.information
-        return Linear(np.linalg.solve(whole, self.information), np.linalg.solve(whole, self.pull))
+        return InformationForm(np.linalg.solve(whole, self.information), np.linalg.solve(whole, self.pull))
 
 
-def together(told: Sequence[Linear]) -> Linear:
+def together(told: Sequence[InformationForm]) -> InformationForm:
     """What all tell of the same sizes."""
-    return Linear(np.sum([one.information for one in told], axis=0), np.sum([one.pull for one in told], axis=0))
+    return InformationForm(
+        np.sum([one.information for one in told], axis=0), np.sum([one.pull for one in told], axis=0)
+    )
