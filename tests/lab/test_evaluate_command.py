@@ -356,6 +356,17 @@ def test_progress_is_told_a_line_a_run(
     assert all("--quiet" in call for call in twin_fakes.calls(program))
 
 
+def test_a_photograph_that_the_strip_cannot_show_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin(tmp_path, monkeypatch, {"20002": "torn"})
+    assert main(["evaluate", str(TIP_ONLY), "--on", "twin", "--repeat", "2"]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    assert len(told) == 1
+    assert told[0].startswith("run 2 of 2, tip_only in scenario reality on plant 20002: left out of the strip: ")
+    assert "2.jpg" in told[0]
+
+
 @pytest.mark.parametrize("behaviour", ["SIGINT", "SIGTERM"])
 def test_who_stops_it_keeps_what_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], behaviour: str

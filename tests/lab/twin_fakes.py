@@ -30,9 +30,10 @@ RUN = "rig/runs/bean"
 CALLS = "calls.jsonl"
 """Beside the program: one line for each time that it was started."""
 PLAN = "plan.json"
-"""Beside the program: how to behave, by seed: ``fail``, ``refuse``, ``other seed``, ``silent``, ``nothing``, ``hang``
-until told to end, ``meet N`` if the run of seed N is there at the same time, else fail, or a signal that it sends to
-whoever started it, when those that hang do so, before it waits for its own end."""
+"""Beside the program: how to behave, by seed: ``fail``, ``refuse``, ``other seed``, ``silent``, ``nothing``, ``torn``
+with its third photograph torn, ``hang`` until told to end, ``meet N`` if the run of seed N is there at the same time,
+else fail, or a signal that it sends to whoever started it, when those that hang do so, before it waits for its own
+end."""
 ENDED = "ended"
 """Beside the program: a line with the seed of each run that was told to end."""
 MEETS_WITHIN_S = 30.0
@@ -87,6 +88,9 @@ def main(argv: list[str]) -> int:
     if behaviour == "nothing":
         return 0
     _write(output, given, seed + 1 if behaviour == "other seed" else seed)
+    if behaviour == "torn":
+        third = output / RUN / "frames" / "2.jpg"
+        third.write_bytes(third.read_bytes()[:-50])
     return 0
 
 

@@ -159,12 +159,14 @@ def run_all(
     def ended(run: TwinRun, process: subprocess.Popen[str], said: str) -> None:
         place, head = folder / RUNS / run.name, heads[run.name]
         try:
-            _finish(run, place, process, said, keep_photographs=keep_photographs)
+            remarks = _finish(run, place, process, said, keep_photographs=keep_photographs)
         except RunFailed as problem:
             failed[run.name] = str(problem)
             say(f"{head}: failed: {problem}")
             return
         trials[run.name] = _read(run, place)
+        for remark in remarks:
+            say(f"{head}: {remark}")
         say(f"{head}: fitness {100 * trials[run.name].fitness:.1f} %")
 
     side_by_side(missing, count, start=start, ended=ended)
@@ -212,8 +214,13 @@ def _start(run: TwinRun, place: Path, screen: TextIO | None) -> subprocess.Popen
     )
 
 
-def _finish(run: TwinRun, place: Path, process: subprocess.Popen[str], said: str, *, keep_photographs: bool) -> None:
+def _finish(
+    run: TwinRun, place: Path, process: subprocess.Popen[str], said: str, *, keep_photographs: bool
+) -> list[str]:
     """Keep what a run that has ended left.
+
+    Returns:
+        What there is to tell of its strip, a line each.
 
     Raises:
         RunFailed: it did not come to its end; what it left stays under the other name, with the rig's logs.
@@ -228,13 +235,15 @@ def _finish(run: TwinRun, place: Path, process: subprocess.Popen[str], said: str
         outcome = read_experiment(unfinished)
         run.check(outcome, unfinished)
         inner = RunFolder(unfinished / outcome.run)
-        files.write_bytes(unfinished / STRIP_FILE, _strip(inner, run.task.stop_height_cm))
+        shown = _strip(inner, run.task.stop_height_cm)
+        files.write_bytes(unfinished / STRIP_FILE, strip.encode_jpeg(shown.picture))
     except BadInput as problem:
         raise RunFailed(f"what {TWIN_COMMAND} wrote cannot be used: {problem}") from problem
     for waste in _waste(unfinished, inner, keep_photographs=keep_photographs):
         shutil.rmtree(waste)
     unfinished.rename(place)
     files.fsync_folder(place.parent)
+    return shown.remarks
 
 
 def _waste(folder: Path, run: RunFolder, *, keep_photographs: bool) -> Iterator[Path]:
@@ -243,9 +252,9 @@ def _waste(folder: Path, run: RunFolder, *, keep_photographs: bool) -> Iterator[
         yield from (run.frames, run.background)
 
 
-def _strip(run: RunFolder, stop_height_cm: float) -> bytes:
-    """Photographs at even times up to the end of the run, side by side, as JPEG."""
+def _strip(run: RunFolder, stop_height_cm: float) -> strip.Strip:
+    """Photographs at even times up to the end of the run, side by side."""
     judged = summary.summarise(run, stop_height_cm=stop_height_cm)
     end_h = float(judged.track.time_s[judged.stop_row]) / 3600.0
     hours = [end_h * k / STRIP_PANELS for k in range(1, STRIP_PANELS + 1)]
-    return strip.encode_jpeg(strip.strip(run, judged, hours).picture)
+    return strip.strip(run, judged, hours)

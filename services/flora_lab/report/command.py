@@ -19,8 +19,6 @@ from flora_lab.report.page import is_page, page
 from flora_lab.report.summary import RunSummary, summarise
 
 STRIP_SUFFIX: Final = ".png"
-BAD_PICTURES_NAMED: Final = 3
-"""Of the photographs that cannot be shown so many are named, the others counted."""
 
 
 def register(app: typer.Typer) -> None:
@@ -57,10 +55,8 @@ def report(
     written = [output] if strip_png is None else [output, strip_png]
     outputs.check_apart(written, lambda: _files_of(folder, summary))
     panels = strip.strip(folder, summary)
-    for reason in panels.left_out[:BAD_PICTURES_NAMED]:
-        typer.echo(f"left out of the strip: {reason}", err=True)
-    if (more := len(panels.left_out) - BAD_PICTURES_NAMED) > 0:
-        typer.echo(f"left out of the strip: {more} more bad pictures", err=True)
+    for remark in panels.remarks:
+        typer.echo(remark, err=True)
     drawn = {
         "shapes": figures.shapes(summary),
         "tip": figures.tip_and_lamps(summary),

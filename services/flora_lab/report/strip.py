@@ -20,6 +20,8 @@ PAPER_HOURS = (20.0, 37.0, 54.0, 71.0)
 
 TILE_WIDTH_PX = 440
 MARGIN_CM = 3.0
+BAD_PICTURES_NAMED = 3
+"""Of the photographs that cannot be shown so many are named, the others counted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,13 @@ class Strip:
 
     picture: Picture
     left_out: tuple[str, ...]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What people are told of these photographs, a line each."""
+        told = [f"left out of the strip: {reason}" for reason in self.left_out[:BAD_PICTURES_NAMED]]
+        more = len(self.left_out) - BAD_PICTURES_NAMED
+        return [*told, f"left out of the strip: {more} more bad pictures"] if more > 0 else told
 
 
 def strip(folder: RunFolder, summary: RunSummary, hours: Sequence[float] = PAPER_HOURS) -> Strip:
