@@ -91,6 +91,13 @@ def to_px(points_cm: FloatArray, camera: CameraSection) -> FloatArray:
     return np.asarray(np.array(camera.anchor_px) + points_cm * np.array([1.0, -1.0]) * camera.px_per_cm)
 
 
+def turned_right(points: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Points (n, k, 2), y up, turned about (0, 0) to the right by angles, shape (n,)."""
+    cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+
 def polyline_length(points: FloatArray) -> FloatArray:
     """Length of polylines through points of shape (..., n, 2), in their unit; shape (...)."""
     steps = np.diff(points, axis=-2)

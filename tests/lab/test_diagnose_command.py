@@ -22,11 +22,13 @@ import tomli_w
 from diagnose_runs import CHANCE, change_of, run_of, turns, write_run
 from html_reader import Reader
 
+from flora_common.geometry import turned_right
 from flora_common.runs import TRACK_HEADER
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose import folder, work
 from flora_lab.diagnose.diagnosis import Diagnosis
 from flora_lab.main import main
+from flora_lab.run_tracks import load_run
 from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.interface import run as run_freely
 from flora_lab.simulator.load import load
@@ -177,6 +179,26 @@ def test_an_extended_simulator_knows_what_it_was_extended_with(diagnosed: Path, 
     assert found.verdict == "nothing_wrong"
     assert found.causes == []
     assert found.base["learned_from"] == "extended.simulator, learned from 5 runs, and extended with draught"
+
+
+def test_a_camera_that_was_knocked_is_told_and_turned_back(diagnosed: Path, runs: Path, tmp_path: Path) -> None:
+    run, out = run_of(12, change=HIDDEN, chance=CALM), tmp_path / "out"
+    turned = turned_right(run.points_cm, np.where(np.arange(len(run)) >= 190, np.radians(-8.0), 0.0))
+    knocked = write_run(tmp_path, replace(run, points_cm=turned))
+    simulator = diagnosed / "extended.simulator"
+    assert main(["diagnose", str(knocked), "--simulator", str(simulator), "-o", str(out), "--quiet"]) == 0
+    found = told(out)
+    assert found.verdict == "unexplained"
+    assert found.causes == []
+    (note,) = found.record
+    assert note.startswith("plant12 15.8 h after its start by ")
+    assert note.endswith("to the left: camera or pot was knocked; what comes after is turned back")
+    assert found.summary.startswith("Camera or pot was knocked: plant12 15.8 h after its start by ")
+    assert "Beside that: Nothing is wrong" in found.summary
+    assert note in (out / "report.html").read_text(encoding="utf-8")
+    (corrected,) = (out / "corrected").iterdir()
+    tips, meant = load_run(corrected).track.points_cm[:, -1], run.points_cm[:, -1]
+    assert np.abs(tips - meant).max() < 0.2 < 1.0 < np.abs(turned[:, -1] - meant).max()
 
 
 def test_quiet_says_nothing(

@@ -87,7 +87,7 @@ def test_a_clock_that_runs_wrong_is_set_right_ever_more(tmp_path: Path) -> None:
 
 def runs_of(tmp_path: Path) -> Runs:
     tracks = [load_run(write_run(tmp_path / "runs", run_of(seed, chance=QUIET))) for seed in (1, 2)]
-    return Runs(tuple(tracks), tuple(in_steps(track) for track in tracks), ())
+    return Runs(tuple(tracks), tuple(in_steps(track) for track in tracks), (), ((),) * len(tracks))
 
 
 def found_of(name: str, *coordinates: float) -> Found:

@@ -143,7 +143,7 @@ def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:
 
 
 def measured(*runs: MeasuredRun) -> Runs:
-    return Runs((), runs, ())
+    return Runs((), runs, (), ((),) * len(runs))
 
 
 def test_a_simulator_is_learned_from_its_own_runs() -> None:

@@ -127,6 +127,16 @@ def test_where_much_is_left_nothing_is_sure() -> None:
     assert verdict_of([], MUCH_LEFT) == "unexplained"
 
 
+def test_runs_in_which_something_was_knocked_are_not_told_as_if_nothing_was() -> None:
+    cause = cause_of({"sag": 300.0}, "sag", SAGGING)
+    assert verdict_of([], NONE_LEFT, is_knocked=True) == "unexplained"
+    assert verdict_of([cause], NONE_LEFT, is_knocked=True) == "explained"
+    told = summary([], NONE_LEFT, knocks=["run1 then", "run2 now"])
+    assert told.startswith("Camera or pot was knocked: run1 then; run2 now. Beside that: Nothing is wrong")
+    told = summary([cause], NONE_LEFT, knocks=["run1 then"])
+    assert told.startswith("Camera or pot was knocked: run1 then. Beside that: Sagging")
+
+
 @settings(deadline=None)
 @given(st.sampled_from([e.name for e in CATALOGUE if e.name != "circumnutation"]), st.data(), st.floats(1e-6, 0.5))
 def test_intervals_hold_the_value(name: str, data: st.DataObject, sd: float) -> None:

@@ -15,6 +15,7 @@ from flora_common.geometry import (
     collides,
     distance_to_polyline_cm,
     resample_by_height,
+    turned_right,
 )
 from flora_common.shapes import Obstacle, Target
 
@@ -166,3 +167,9 @@ def test_resampled_points_lie_on_the_stem(points: list[tuple[float, int]]) -> No
     assert found[-1] == pytest.approx(line[-1])
     assert found[:, 1] == pytest.approx(np.linspace(0.0, line[-1, 1], 10))
     assert distance_to_polyline_cm(found, line).max() < 1e-9
+
+
+def test_a_stem_is_turned_to_the_right_about_its_foot() -> None:
+    upright = np.array([[[0.0, 0.0], [0.0, 2.0]], [[0.0, 0.0], [-2.0, 0.0]]])
+    turned = turned_right(upright, np.radians([90.0, 90.0]))
+    assert turned == pytest.approx(np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.0, 0.0], [0.0, 2.0]]]))

@@ -1,18 +1,20 @@
-"""Tracks without what was wrong in the record of them: a camera that was not level, clocks that were apart."""
+"""Tracks without what was wrong in the record of them: a camera that was not level or was knocked, clocks apart."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_common.geometry import resample_by_height
+from flora_common.geometry import resample_by_height, turned_right
 from flora_common.runs import LIGHTS, Light, track_text
 from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.joint import Found
+from flora_lab.diagnose.knocks import Knock, turned_back
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import RunTrack
 
@@ -24,24 +26,21 @@ def write(folder: Path, runs: Runs, found: Found) -> None:
 
     Covariates are left out: what they were at another time is not known.
     """
-    if not any(cause.effect.where in OF_THE_RECORD for cause in found.hypothesis.causes):
+    if not any(runs.knocks) and not any(cause.effect.where in OF_THE_RECORD for cause in found.hypothesis.causes):
         return
     change = found.hypothesis.change(found.coordinates)
     folder.mkdir()
-    for number, run in enumerate(runs.tracks, start=1):
-        (folder / f"{number:02d}-{run.file.stem}.csv").write_text(corrected_text(run, change), encoding="utf-8")
+    for number, (run, knocks) in enumerate(zip(runs.tracks, runs.knocks, strict=True), start=1):
+        text = corrected_text(run, change, knocks)
+        (folder / f"{number:02d}-{run.file.stem}.csv").write_text(text, encoding="utf-8")
 
 
-def corrected_text(run: RunTrack, change: Change) -> str:
+def corrected_text(run: RunTrack, change: Change, knocks: Sequence[Knock] = ()) -> str:
     """A track as it would have been recorded rightly."""
     track = run.track
     hours = (track.time_s - track.time_s[0]) / 3600.0
-    turn = -change.turned_rad(hours)
-    points = track.points_cm / change.scale
-    x, y = points[..., 0], points[..., 1]
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    # Angles are measured from the vertical, positive to the right: turning by them is clockwise.
-    turned = np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+    points = turned_back(track.points_cm / change.scale, track.time_s, knocks)
+    turned = turned_right(points, -change.turned_rad(hours))
     stems = np.stack([resample_by_height(stem, STEM_POINTS) for stem in turned])
     return track_text(track.time_s, _lights(track.light, hours, change), stems)
 

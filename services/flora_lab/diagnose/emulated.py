@@ -41,7 +41,7 @@ def reference_of(simulator: Simulator[Any], measured: Runs) -> Runs:
         runs.append(
             MeasuredRun(f"simulated {i + 1}", f"simulated {i + 1}", "", points, light[:, i], time_s, STEP_S, {}, lamps)
         )
-    return Runs((), tuple(runs), ())
+    return Runs((), tuple(runs), (), ((),) * len(runs))
 
 
 def _light(i: int, steps: int) -> FloatArray:

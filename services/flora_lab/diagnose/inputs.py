@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from flora_common.arrays import Array
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
+from flora_lab.diagnose.knocks import Knock, knocks_of, turned_back
 from flora_lab.diagnose.scene import TEMPERATURE, Scene
 from flora_lab.run_tracks import RunTrack, load_runs
 from flora_lab.simulator.interface import History, Simulator
@@ -31,17 +32,28 @@ class Runs:
 
     Attributes:
         tracks: as they were read.
-        measured: cleaned, in equal steps.
+        measured: cleaned, turned back after knocks, in equal steps.
         notes: what was found in the records.
+        knocks: of each run.
     """
 
     tracks: tuple[RunTrack, ...]
     measured: tuple[MeasuredRun, ...]
     notes: tuple[str, ...]
+    knocks: tuple[tuple[Knock, ...], ...]
 
     def scenes(self, usual_c: float | None, terms: Array = NEUTRAL) -> list[Scene]:
         """Ready to be compared with plants that are used to this temperature, and have these terms, shape (21,)."""
         return [Scene(run, ExtendedLaw(run.lamps or LampsSection(), terms), usual_c) for run in self.measured]
+
+    @property
+    def knocked(self) -> list[str]:
+        """In which runs the camera or the pot was knocked, when and how far."""
+        return [
+            f"{run.name} {knock.words}"
+            for run, knocks in zip(self.measured, self.knocks, strict=True)
+            for knock in knocks
+        ]
 
     def usual_temperature_c(self) -> float | None:
         """Mean temperature, where all runs tell it."""
@@ -64,7 +76,7 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
             f"no run.toml tells where the lamps hang: taken to be {lamps.distance_cm:g} cm to either side, "
             f"{lamps.height_cm:g} cm high"
         )
-    measured, notes = [], []
+    measured, notes, knocks = [], [], []
     for track in tracks:
         run, found = record.cleaned(in_steps(track, step_of(track.track.time_s)))
         if run.hours < SHORTEST_H:
@@ -77,9 +89,10 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
         pairs = run.is_measured[1:] & run.is_measured[:-1]
         if not pairs.any() or not Scene(run, ExtendedLaw(run.lamps or LampsSection())).size:
             raise BadInput(f"{track.file}: no hour of it has enough photographs of a stem that moves; leave it out")
-        measured.append(run)
+        knocks.append(knocks_of(run))
+        measured.append(replace(run, points_cm=turned_back(run.points_cm, run.time_s, knocks[-1])))
         notes += found
-    return Runs(tuple(tracks), tuple(measured), tuple(notes))
+    return Runs(tuple(tracks), tuple(measured), tuple(notes), tuple(knocks))
 
 
 def read_holdout(paths: Sequence[Path], measured: Runs) -> Runs | None:

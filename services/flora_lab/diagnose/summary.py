@@ -36,7 +36,12 @@ def nearest(explanation: Explanation) -> str:
 
 
 def summary(
-    causes: Sequence[NamedCause], left: Left, next_best: str = "", dropped: Sequence[str] = (), p_value: float = 1.0
+    causes: Sequence[NamedCause],
+    left: Left,
+    next_best: str = "",
+    dropped: Sequence[str] = (),
+    p_value: float = 1.0,
+    knocks: Sequence[str] = (),
 ) -> str:
     """What was found.
 
@@ -46,7 +51,14 @@ def summary(
         next_best: where nothing is wrong, what came nearest to a name, see :func:`nearest`.
         dropped: effects that were taken for causes before others made them worthless.
         p_value: of the residuals, all runs taken as wholes.
+        knocks: in which runs, when and how far.
     """
+    found = _found(causes, left, next_best, dropped, p_value)
+    return f"Camera or pot was knocked: {'; '.join(knocks)}. Beside that: {found}" if knocks else found
+
+
+def _found(causes: Sequence[NamedCause], left: Left, next_best: str, dropped: Sequence[str], p_value: float) -> str:
+    """The same, of all but knocks."""
     if not causes:
         if left.unnamed is not None:
             return f"Something is at work that is not in the catalogue. A description that fits: {left.unnamed.words}."

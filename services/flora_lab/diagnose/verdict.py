@@ -149,11 +149,13 @@ def _height_cm(scene: Scene, window: int) -> float:
     return float(scene.features[rows][0]) if rows.any() else float(np.nanmax(scene.run.points_cm[:, -1, 1]))
 
 
-def verdict_of(causes: Sequence[NamedCause], left: Left) -> Verdict:
-    """In a word."""
+def verdict_of(causes: Sequence[NamedCause], left: Left, is_knocked: bool = False) -> Verdict:
+    """In a word; runs in which somebody knocked something, and nothing else is found, are for a person to look at."""
     if left.is_much:
         return "unexplained"
-    return "explained" if causes else "nothing_wrong"
+    if causes:
+        return "explained"
+    return "unexplained" if is_knocked else "nothing_wrong"
 
 
 def named(explanation: Explanation, left: Left) -> list[NamedCause]:

@@ -19,6 +19,7 @@ from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import Runs, check_known, check_unseen, read_holdout, read_reference, read_runs
+from flora_lab.diagnose.knocks import KNOCKED
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.learned_base import learned_base
 from flora_lab.diagnose.learned_simulator import faults_of
@@ -192,14 +193,14 @@ def diagnose(
         )
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
-        verdict=verdict_of(causes, left),
+        verdict=verdict_of(causes, left, bool(runs.knocked)),
         causes=causes,
         residuals=_with_left(said, left, explanation, start.known),
         gain=gain,
         next_experiment=asked,
-        summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"]),
+        summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"], runs.knocked),
         described=_described(left),
-        record=[*runs.notes, *left_out],
+        record=[*runs.notes, *(f"{one}: {KNOCKED}" for one in runs.knocked), *left_out],
         runs=[files.shown(track.file) for track in runs.tracks],
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),

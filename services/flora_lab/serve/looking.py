@@ -36,7 +36,7 @@ def learned(task: LearnTask) -> Path:
     Raises:
         BadInput: too few reference runs, or such as cannot be read.
     """
-    told = read_reference(task.reference, Runs((), (), ()))
+    told = read_reference(task.reference, Runs((), (), (), ()))
     content = hashlib.sha256("".join(sorted(run.sha256 for run in told.measured)).encode()).hexdigest()
     path = task.output / f"base-{content[:8]}.simulator"
     if path.is_dir():
