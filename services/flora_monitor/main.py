@@ -18,7 +18,7 @@ from rich.live import Live
 from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
-from flora_common.errors import BadInput
+from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.health import HealthBoard
 from flora_common.outputs import can_be_made
 from flora_common.recording import RecordingWriter
@@ -239,7 +239,7 @@ def record(
     common = common_options(config, rig, publish, subscribe, as_json=False)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     clock = SystemClock()
-    writer = RecordingWriter(file, metadata={"rig": rig or "all"})
+    writer = _new_recording(file, rig)
 
     def summary() -> str:
         return f"{file}: {writer.messages} recorded, {writer.bytes} bytes; " + _said(board, began_s)
@@ -264,6 +264,16 @@ def record(
             take()
         finally:
             writer.close()
+
+
+def _new_recording(file: Path, rig: str | None) -> RecordingWriter:
+    """An empty recording; where none can be made, a full disk apart, the person has named a wrong place."""
+    try:
+        return RecordingWriter(file, metadata={"rig": rig or "all"})
+    except DiskFull:
+        raise
+    except StoreError as problem:
+        raise BadInput(f"{problem}; name another place with FILE") from problem
 
 
 @app.command()
