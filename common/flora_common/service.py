@@ -10,7 +10,6 @@ does the rest::
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import logging
 import os
@@ -24,7 +23,7 @@ import msgspec
 from flora_common import clock as clocks
 from flora_common import twin_link
 from flora_common.app import App
-from flora_common.cli import run_cli, version_line
+from flora_common.cli import ArgumentParser, run_cli, version_line
 from flora_common.config import RigSection, config_text, load_config
 from flora_common.errors import ConfigError
 from flora_common.files import make_folder
@@ -68,9 +67,9 @@ def run_service(
         make_clock: where the beat needs a leading clock; others follow the rig's.
     """
     section = name.removeprefix("flora-")
-    options = _parser(name, description, actions).parse_args(argv)
 
     def work() -> int | None:
+        options = _parser(name, description, actions).parse_args(argv)
         if options.version:
             print(version_line(name))
             return 0
@@ -125,8 +124,8 @@ def _destination(flag: str) -> str:
     return "action_" + flag.strip("-").replace("-", "_")
 
 
-def _parser(name: str, description: str, actions: Sequence[Action[Any]]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(name, description=description)
+def _parser(name: str, description: str, actions: Sequence[Action[Any]]) -> ArgumentParser:
+    parser = ArgumentParser(name, description=description)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the rig's TOML file (default /etc/flora/flora.toml)"
     )

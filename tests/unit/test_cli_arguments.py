@@ -1,0 +1,50 @@
+"""Every command that is installed: wrong arguments are told in one line, and the line says where help is."""
+
+from __future__ import annotations
+
+import importlib
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+TARGETS: dict[str, str] = PROJECT["scripts"]
+SUBCOMMANDS = ("flora-stem calibrate", "flora-controller check", "flora-controller offer", "flora-monitor tail")
+
+
+def main_of(command: str) -> Callable[[list[str]], int]:
+    module, _, function = TARGETS[command].partition(":")
+    made: Callable[[list[str]], int] = getattr(importlib.import_module(module), function)
+    return made
+
+
+@pytest.mark.parametrize("command", [*sorted(TARGETS), *SUBCOMMANDS])
+def test_an_option_that_does_not_exist_is_one_line_and_status_2(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, *subcommand = command.split()
+    assert main_of(name)([*subcommand, "--nonsense"]) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert told.err.startswith(f"{name}")
+    assert told.err.endswith(f"(see {command} --help)\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--config"], "flora-bus: argument --config: expected one argument (see flora-bus --help)\n"),
+        (["a\nb"], "flora-bus: unrecognized arguments: a b (see flora-bus --help)\n"),
+        (
+            ["-v", "-q"],
+            "flora-bus: argument -q/--quiet: not allowed with argument -v/--verbose (see flora-bus --help)\n",
+        ),
+    ],
+)
+def test_what_a_service_cannot_read_is_one_line_whatever_it_is(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main_of("flora-bus")(arguments) == 2
+    assert capsys.readouterr().err == said
