@@ -27,7 +27,7 @@ from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, SMALLEST_PIXEL_CM, PlannedRun, dataset_runs, planned_runs
 from flora_twin.seeds import LARGEST_SEED, Seed
-from flora_twin.server import WorldServer, only_one, parse_start, serve
+from flora_twin.server import WorldServer, bound, only_one, parse_start, serve
 from flora_twin.world import World
 
 Force = Annotated[bool, typer.Option("--force", help="Replace the file that is there.")]
@@ -81,11 +81,15 @@ def serve_world(
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     cv2.setNumThreads(1)  # the other services need the other cores
     start_utc_ns = parse_start(section.start) if section.start else time.time_ns()
-    folder = state_dir or Path(rig.state_dir) / "twin"
-    with only_one(folder):
+    folder, where = state_dir or Path(rig.state_dir) / "twin", address or rig.clock.twin
+    if not folder.exists():
+        # A wrong address leaves no folder behind. Where there is one, the address may be its world's, which keeps it.
+        with bound(where):
+            pass
+    with only_one(folder), bound(where) as router:
         world = World(section.seed, planted=section.planted)
         server = WorldServer(world, folder, start_utc_ns=start_utc_ns, rate=section.rate, monotonic_s=time.monotonic)
-        serve(server, address or rig.clock.twin)
+        serve(server, router)
 
 
 def picture(
