@@ -76,6 +76,7 @@ def run_service(
         rig, config = load_config(options.config, section, section_type)
         if options.check_config:
             rig.own_keys()
+            _check_folders(rig)
             check(rig, config)
             print(f"{name}: configuration is good")
             return 0
@@ -101,6 +102,22 @@ def run_service(
 def default_clock(rig: RigSection) -> clocks.Clock:
     """The machine's clock on a rig, the grow box's in the virtual one."""
     return clocks.SystemClock() if rig.clock.kind == "system" else twin_link.follower_clock(rig.clock.twin)
+
+
+def _check_folders(rig: RigSection) -> None:
+    """Whether run folder and state folder are there, or can ever be made where they are named.
+
+    One that is missing is no fault of the configuration: a service or systemd makes the state folder, a person the run,
+    later. Nor is one that whoever asks may not look into: the services are other users.
+
+    Raises:
+        ConfigError: something else is in the way.
+    """
+    for key, folder in (("run_dir", Path(rig.run_dir)), ("state_dir", Path(rig.state_dir))):
+        path = folder.absolute()
+        there = next(place for place in (path, *path.parents) if os.access(place, os.F_OK))
+        if not there.is_dir():
+            raise ConfigError(f"[rig] {key} {folder}: {there} is no folder; move it away, or name another place")
 
 
 @contextlib.contextmanager
