@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.outputs import check_file, is_picture, is_track, must_be_new
+from flora_common.outputs import can_be_made, check_file, is_picture, is_track, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
@@ -83,6 +83,7 @@ def serve_world(
     start_utc_ns = parse_start(section.start) if section.start else time.time_ns()
     folder, where = state_dir or Path(rig.state_dir) / "twin", address or rig.clock.twin
     if not folder.exists():
+        can_be_made(folder, "--state-dir")
         # A wrong address leaves no folder behind. Where there is one, the address may be its world's, which keeps it.
         with bound(where):
             pass

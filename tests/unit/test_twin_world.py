@@ -410,6 +410,17 @@ def test_a_box_at_an_address_that_cannot_be_had_leaves_nothing_behind(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_box_whose_folder_cannot_be_made_leaves_no_socket_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "state"
+    assert main(["serve", "--address", f"ipc://{tmp_path}/world.sock", "--state-dir", str(folder)]) == 2
+    said = f"{folder}: cannot be written, {tmp_path}/file is no folder; name another place with --state-dir\n"
+    assert capsys.readouterr().err == f"flora-twin: {said}"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
 def test_a_second_process_leaves_the_first_its_address(tmp_path: Path, serve: Callable[[], Process]) -> None:
     first = serve()
     now = first.ask("now")
