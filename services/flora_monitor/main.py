@@ -49,7 +49,6 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
 )
 
 
@@ -182,7 +181,9 @@ def topics(
 
 @app.command()
 def health(
-    pattern: Annotated[str, typer.Argument(help="glob on the services' names", callback=checked_pattern)] = "*",
+    pattern: Annotated[
+        str, typer.Argument(help="Glob on the services' names.", metavar="PATTERN", callback=checked_pattern)
+    ] = "*",
     rig: Rig = None,
     config: Config = None,
     publish: Publish = None,
@@ -223,7 +224,7 @@ app.command()(doctor)
 
 @app.command()
 def record(
-    file: Annotated[Path, typer.Argument(help="a new .mcap file")],
+    file: Annotated[Path, typer.Argument(help="A new .mcap file.", metavar="FILE")],
     pattern: Pattern = "*",
     rig: Rig = None,
     config: Config = None,
@@ -278,16 +279,16 @@ def _new_recording(file: Path, rig: str | None) -> RecordingWriter:
 
 @app.command()
 def replay(
-    file: Annotated[Path, typer.Argument(help="a recording")],
+    file: Annotated[Path, typer.Argument(help="A recording.", metavar="FILE")],
     only: Annotated[
-        str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded", callback=checked_pattern)
+        str, typer.Option("--only", help="Glob on <rig>/<kind> or kind, as recorded.", callback=checked_pattern)
     ] = "*",
     rate: Annotated[
-        float | None, typer.Option("--rate", min=0.001, help="recorded seconds per second; 1 where not given")
+        float | None, typer.Option("--rate", min=0.001, help="Recorded seconds per second; 1 where not given.")
     ] = None,
-    as_fast: Annotated[bool, typer.Option("--as-fast", help="without waiting")] = False,
-    rig: Annotated[str | None, typer.Option("--rig", help="say it as this rig", metavar="NEW")] = None,
-    force: Annotated[bool, typer.Option("--force", help="even where services of that rig are alive")] = False,
+    as_fast: Annotated[bool, typer.Option("--as-fast", help="Without waiting.")] = False,
+    rig: Annotated[str | None, typer.Option("--rig", help="Say it as this rig.", metavar="NEW")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Even where services of that rig are alive.")] = False,
     config: Config = None,
     publish: Publish = None,
     subscribe: Subscribe = None,
@@ -339,7 +340,9 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
 
 
 @app.command()
-def check(files: Annotated[list[Path], typer.Argument(help="recordings")], as_json: Json = False) -> None:
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE...")], as_json: Json = False
+) -> None:
     """Read recordings back from end to end; status 1 when one is cut or damaged, 2 when one cannot be read at all."""
     status = 0
     for file in files:
@@ -362,7 +365,7 @@ def check(files: Annotated[list[Path], typer.Argument(help="recordings")], as_js
 
 @app.callback(invoke_without_command=True)
 def _version(
-    version: Annotated[bool, typer.Option("--version", help="print the version and end")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
 ) -> None:
     if version:
         print(version_line(PROGRAM))
