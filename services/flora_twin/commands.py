@@ -64,14 +64,15 @@ def serve_world(
     address: Annotated[str | None, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/twin.")] = None,
     state_dir: Annotated[Path | None, typer.Option(help="Folder for checkpoint and truth.jsonl.")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=LARGEST_SEED, help="The individual plant and all chance. [default: 1]")
+        int | None, typer.Option(min=0, max=LARGEST_SEED, help="The individual plant and all chance.", show_default="1")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time. [default: 0]")
+        float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time.", show_default="0")
     ] = None,
     start: Annotated[str | None, typer.Option(help="UTC at time 0, ISO 8601; the present where missing.")] = None,
     planted: Annotated[
-        bool | None, typer.Option("--planted/--empty", help="Whether the plant is there at first. [default: planted]")
+        bool | None,
+        typer.Option("--planted/--empty", help="Whether the plant is there at first.", show_default="planted"),
     ] = None,
 ) -> None:
     """Serve the virtual grow box until SIGTERM; goes on where it was when STATE_DIR holds a checkpoint."""
@@ -99,7 +100,7 @@ def picture(
     hours: Annotated[float, typer.Option(help="Age of the plant.")] = 48.0,
     light: Annotated[str, typer.Option(help="Lamp in the picture: left, right, dark or both.")] = "left",
     schedule: Annotated[str, typer.Option(help="Light before: `6h`, or `right 37h, left`; LIGHT where missing.")] = "",
-    flash: Annotated[bool, typer.Option("--flash/--no-flash")] = True,
+    flash: Annotated[bool, typer.Option("--flash/--no-flash", help="Whether the flash lights it.")] = True,
     empty: Annotated[bool, typer.Option("--empty", help="The setup without a plant.")] = False,
     force: Force = False,
 ) -> None:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import importlib
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
+
+import flora_lab.main
+import flora_monitor.main
+import flora_twin.main
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 TARGETS: dict[str, str] = PROJECT["scripts"]
@@ -18,6 +24,19 @@ def main_of(command: str) -> Callable[[list[str]], int]:
     module, _, function = TARGETS[command].partition(":")
     made: Callable[[list[str]], int] = getattr(importlib.import_module(module), function)
     return made
+
+
+def commands_of(command: Any) -> Iterator[Any]:
+    yield command
+    for inner in getattr(command, "commands", {}).values():
+        yield from commands_of(inner)
+
+
+@pytest.mark.parametrize("app", [flora_lab.main.build_app(), flora_twin.main.build_app(), flora_monitor.main.app])
+def test_a_help_text_holds_no_brackets_which_would_be_taken_for_markup_and_not_shown(app: typer.Typer) -> None:
+    options = [option for command in commands_of(typer.main.get_command(app)) for option in command.params]
+    assert len(options) > 30
+    assert [option.name for option in options if "[" in (getattr(option, "help", None) or "")] == []
 
 
 @pytest.mark.parametrize("command", [*sorted(TARGETS), *SUBCOMMANDS])
