@@ -1,4 +1,4 @@
-"""Where target and obstacle of a task may lie, so that a plant can be set it at all; for rig, box and lab alike."""
+"""Where target and obstacle of a task may lie, so that a plant can be set it at all; for virtual box and lab alike."""
 
 from __future__ import annotations
 
