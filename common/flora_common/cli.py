@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import errno
 import importlib.metadata
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NoReturn, cast
 
 from flora_common.errors import BadInput, FloraError
 
@@ -68,6 +69,21 @@ def _drop_output() -> None:
         os.close(nowhere)
 
 
+class ArgumentParser(argparse.ArgumentParser):
+    """For commands without Typer: wrong arguments are bad input; to be asked inside :func:`run_cli`, which tells it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise _wrong_arguments(message, self.prog)
+
+    def print_help(self, file: Any = None) -> None:
+        # Not as argparse does it, which says nothing where the text could not be written.
+        print(self.format_help(), end="", file=file, flush=True)
+
+
+def _wrong_arguments(message: str, command: str) -> BadInput:
+    return BadInput(f"{' '.join(message.split())} (see {command} --help)")
+
+
 def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] | None = None) -> int:
     """Run a Typer command line as :func:`run_cli` does; wrong arguments are bad input, told in one line.
 
@@ -87,9 +103,8 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
             result = app()(args=arguments or ["--help"], prog_name=program, standalone_mode=False)
         except usage_error as problem:
             unknown = "No such command" in problem.format_message()
-            subcommand = f"{arguments[0]} " if arguments and arguments[0][:1] != "-" and not unknown else ""
-            message = " ".join(problem.format_message().split())
-            raise BadInput(f"{message} (see {program} {subcommand}--help)") from problem
+            subcommand = f" {arguments[0]}" if arguments and arguments[0][:1] != "-" and not unknown else ""
+            raise _wrong_arguments(problem.format_message(), f"{program}{subcommand}") from problem
         except typer.Abort:
             raise KeyboardInterrupt from None
         except OSError as problem:

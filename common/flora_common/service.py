@@ -10,7 +10,6 @@ does the rest::
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import logging
 import os
@@ -24,7 +23,7 @@ import msgspec
 from flora_common import clock as clocks
 from flora_common import twin_link
 from flora_common.app import App
-from flora_common.cli import run_cli, version_line
+from flora_common.cli import ArgumentParser, run_cli, version_line
 from flora_common.config import RigSection, config_text, load_config
 from flora_common.errors import ConfigError
 from flora_common.files import make_folder
@@ -68,15 +67,16 @@ def run_service(
         make_clock: where the beat needs a leading clock; others follow the rig's.
     """
     section = name.removeprefix("flora-")
-    options = _parser(name, description, actions).parse_args(argv)
 
     def work() -> int | None:
+        options = _parser(name, description, actions).parse_args(argv)
         if options.version:
             print(version_line(name))
             return 0
         rig, config = load_config(options.config, section, section_type)
         if options.check_config:
             rig.own_keys()
+            _check_folders(rig)
             check(rig, config)
             print(f"{name}: configuration is good")
             return 0
@@ -104,6 +104,22 @@ def default_clock(rig: RigSection) -> clocks.Clock:
     return clocks.SystemClock() if rig.clock.kind == "system" else twin_link.follower_clock(rig.clock.twin)
 
 
+def _check_folders(rig: RigSection) -> None:
+    """Whether run folder and state folder are there, or can ever be made where they are named.
+
+    One that is missing is no fault of the configuration: a service or systemd makes the state folder, a person the run,
+    later. Nor is one that whoever asks may not look into: the services are other users.
+
+    Raises:
+        ConfigError: something else is in the way.
+    """
+    for key, folder in (("run_dir", Path(rig.run_dir)), ("state_dir", Path(rig.state_dir))):
+        path = folder.absolute()
+        there = next(place for place in (path, *path.parents) if os.access(place, os.F_OK))
+        if not there.is_dir():
+            raise ConfigError(f"[rig] {key} {folder}: {there} is no folder; move it away, or name another place")
+
+
 @contextlib.contextmanager
 def _only_one(name: str, rig: RigSection) -> Iterator[None]:
     """Hold the service's lock; the kernel lets go of it however the process ends."""
@@ -125,8 +141,8 @@ def _destination(flag: str) -> str:
     return "action_" + flag.strip("-").replace("-", "_")
 
 
-def _parser(name: str, description: str, actions: Sequence[Action[Any]]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(name, description=description)
+def _parser(name: str, description: str, actions: Sequence[Action[Any]]) -> ArgumentParser:
+    parser = ArgumentParser(name, description=description)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the rig's TOML file (default /etc/flora/flora.toml)"
     )

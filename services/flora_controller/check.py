@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from flora_common.cli import run_cli
+from flora_common.cli import ArgumentParser, run_cli
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller
 from flora_common.errors import BadController, BadInput
 from flora_common.signing import read_trusted_keys, signer_of
@@ -14,14 +13,14 @@ from flora_common.signing import read_trusted_keys, signer_of
 
 def check_file(argv: Sequence[str]) -> int:
     """Run the command; returns the exit status."""
-    parser = argparse.ArgumentParser("flora-controller check", description="Check a controller file and end.")
+    parser = ArgumentParser("flora-controller check", description="Check a controller file and end.")
     parser.add_argument("file", type=Path, metavar="FILE", help=f"a controller file, *{SUFFIX}")
     parser.add_argument(
         "--keys", type=Path, metavar="DIR", help="public keys; a signature must then be there and be by one of them"
     )
-    options = parser.parse_args(argv)
 
     def work() -> None:
+        options = parser.parse_args(argv)
         loaded = load_controller(options.file)
         network, file = loaded.network, loaded.file
         links = sum(len(node.links) for node in network.nodes)

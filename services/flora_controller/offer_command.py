@@ -5,13 +5,12 @@ For whoever is logged in on the rig, and for ``make deploy HOST=…``, which has
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from flora_common.cli import run_cli
+from flora_common.cli import ArgumentParser, run_cli
 from flora_common.config import checked_rig_name, load_rig
 from flora_common.controller_file import MAX_BYTES, SUFFIX, LoadedController, load_controller, parse_controller
 from flora_common.deliver import NOBODY_AFTER_S, as_json, deliver, outcome, raise_unless_taken
@@ -24,9 +23,9 @@ STANDARD_INPUT: Final = "-"
 
 def offer_file(argv: Sequence[str]) -> int:
     """Run the command; returns the exit status: 0 taken, 2 the file or the rig says no, 1 nobody answers."""
-    options = _parser().parse_args(argv)
 
     def work() -> None:
+        options = _parser().parse_args(argv)
         if not 0 <= options.shadow <= MOST_SHADOW_TICKS:
             raise BadInput(f"--shadow: must be from 0 to {MOST_SHADOW_TICKS}")
         rig = load_rig(options.config)
@@ -57,8 +56,8 @@ def _read(file: str) -> tuple[LoadedController, str]:
     return load_controller(Path(file)), Path(file).name
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> ArgumentParser:
+    parser = ArgumentParser(
         "flora-controller offer", description="Offer a signed controller file to the flora-controller that runs here."
     )
     parser.add_argument("file", metavar="FILE", help=f"a signed controller file, *{SUFFIX}; - is standard input")

@@ -27,7 +27,7 @@ STYLES = {"good": "green", "wrong": "bold red", "not used here": "dim", "not loo
 
 Touch = Annotated[
     bool,
-    typer.Option("--touch", help="switch the lamps off for real; write one file to the NAS, read it back, remove it"),
+    typer.Option("--touch", help="Switch the lamps off for real; write one file to the NAS, read it back, remove it."),
 ]
 
 

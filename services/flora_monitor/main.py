@@ -18,7 +18,7 @@ from rich.live import Live
 from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
-from flora_common.errors import BadInput
+from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.health import HealthBoard
 from flora_common.outputs import can_be_made
 from flora_common.recording import RecordingWriter
@@ -49,7 +49,6 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
 )
 
 
@@ -182,7 +181,9 @@ def topics(
 
 @app.command()
 def health(
-    pattern: Annotated[str, typer.Argument(help="glob on the services' names", callback=checked_pattern)] = "*",
+    pattern: Annotated[
+        str, typer.Argument(help="Glob on the services' names.", metavar="PATTERN", callback=checked_pattern)
+    ] = "*",
     rig: Rig = None,
     config: Config = None,
     publish: Publish = None,
@@ -223,7 +224,7 @@ app.command()(doctor)
 
 @app.command()
 def record(
-    file: Annotated[Path, typer.Argument(help="a new .mcap file")],
+    file: Annotated[Path, typer.Argument(help="A new .mcap file.", metavar="FILE")],
     pattern: Pattern = "*",
     rig: Rig = None,
     config: Config = None,
@@ -239,7 +240,7 @@ def record(
     common = common_options(config, rig, publish, subscribe, as_json=False)
     board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
     clock = SystemClock()
-    writer = RecordingWriter(file, metadata={"rig": rig or "all"})
+    writer = _new_recording(file, rig)
 
     def summary() -> str:
         return f"{file}: {writer.messages} recorded, {writer.bytes} bytes; " + _said(board, began_s)
@@ -266,18 +267,28 @@ def record(
             writer.close()
 
 
+def _new_recording(file: Path, rig: str | None) -> RecordingWriter:
+    """An empty recording; where none can be made, a full disk apart, the person has named a wrong place."""
+    try:
+        return RecordingWriter(file, metadata={"rig": rig or "all"})
+    except DiskFull:
+        raise
+    except StoreError as problem:
+        raise BadInput(f"{problem}; name another place with FILE") from problem
+
+
 @app.command()
 def replay(
-    file: Annotated[Path, typer.Argument(help="a recording")],
+    file: Annotated[Path, typer.Argument(help="A recording.", metavar="FILE")],
     only: Annotated[
-        str, typer.Option("--only", help="glob on <rig>/<kind> or kind, as recorded", callback=checked_pattern)
+        str, typer.Option("--only", help="Glob on <rig>/<kind> or kind, as recorded.", callback=checked_pattern)
     ] = "*",
     rate: Annotated[
-        float | None, typer.Option("--rate", min=0.001, help="recorded seconds per second; 1 where not given")
+        float | None, typer.Option("--rate", min=0.001, help="Recorded seconds per second; 1 where not given.")
     ] = None,
-    as_fast: Annotated[bool, typer.Option("--as-fast", help="without waiting")] = False,
-    rig: Annotated[str | None, typer.Option("--rig", help="say it as this rig", metavar="NEW")] = None,
-    force: Annotated[bool, typer.Option("--force", help="even where services of that rig are alive")] = False,
+    as_fast: Annotated[bool, typer.Option("--as-fast", help="Without waiting.")] = False,
+    rig: Annotated[str | None, typer.Option("--rig", help="Say it as this rig.", metavar="NEW")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Even where services of that rig are alive.")] = False,
     config: Config = None,
     publish: Publish = None,
     subscribe: Subscribe = None,
@@ -329,7 +340,9 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
 
 
 @app.command()
-def check(files: Annotated[list[Path], typer.Argument(help="recordings")], as_json: Json = False) -> None:
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE...")], as_json: Json = False
+) -> None:
     """Read recordings back from end to end; status 1 when one is cut or damaged, 2 when one cannot be read at all."""
     status = 0
     for file in files:
@@ -352,7 +365,7 @@ def check(files: Annotated[list[Path], typer.Argument(help="recordings")], as_js
 
 @app.callback(invoke_without_command=True)
 def _version(
-    version: Annotated[bool, typer.Option("--version", help="print the version and end")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
 ) -> None:
     if version:
         print(version_line(PROGRAM))

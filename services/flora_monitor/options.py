@@ -75,15 +75,19 @@ class Common:
         return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, is_patient=is_patient)
 
 
-Pattern = Annotated[str, typer.Argument(help="glob on <rig>/<kind>, or on the kind alone", callback=checked_pattern)]
-Rig = Annotated[str | None, typer.Option("--rig", help="this rig only", metavar="NAME")]
-Config = Annotated[Path | None, typer.Option("--config", help="the rig's TOML file", metavar="FILE")]
-Publish = Annotated[str | None, typer.Option("--publish", help="where the bus hears", metavar="ENDPOINT")]
-Subscribe = Annotated[str | None, typer.Option("--subscribe", help="where the bus says", metavar="ENDPOINT")]
-Json = Annotated[bool, typer.Option("--json", help="one JSON object a line; also when piped")]
-Count = Annotated[int | None, typer.Option("--count", min=1, help="end after this many messages")]
-Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="end after this many seconds")]
-Interval = Annotated[float | None, typer.Option("--interval", min=0.001, help="seconds between ticks")]
+Pattern = Annotated[
+    str, typer.Argument(help="Glob on <rig>/<kind>, or on the kind alone.", metavar="PATTERN", callback=checked_pattern)
+]
+Rig = Annotated[str | None, typer.Option("--rig", help="This rig only.", metavar="NAME")]
+Config = Annotated[Path | None, typer.Option("--config", help="The rig's TOML file.", metavar="FILE")]
+Publish = Annotated[str | None, typer.Option("--publish", help="Where the bus hears.", metavar="ENDPOINT")]
+Subscribe = Annotated[str | None, typer.Option("--subscribe", help="Where the bus says.", metavar="ENDPOINT")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object a line; also when piped.")]
+Count = Annotated[int | None, typer.Option("--count", min=1, help="End after this many messages.")]
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="End after this many seconds.")]
+Interval = Annotated[
+    float | None, typer.Option("--interval", min=0.001, help="Seconds between ticks; as run.toml says where not given.")
+]
 
 
 def common_options(

@@ -21,7 +21,7 @@ from typing import Final
 import zmq
 
 from flora_common.bus import BusClient
-from flora_common.cli import run_cli
+from flora_common.cli import ArgumentParser, run_cli
 from flora_common.config import load_config
 from flora_common.errors import BadInput, BusUnreachable, DeviceError, StoreError
 from flora_common.files import fsync_folder, make_folder
@@ -240,9 +240,9 @@ def _always_ended(setup: SetupRun, line: Line) -> Iterator[None]:
 
 def main(argv: Sequence[str]) -> int:
     """The command; returns the exit status."""
-    options = _parser().parse_args(argv)
 
     def work() -> None:
+        options = _parser().parse_args(argv)
         for ending in (signal.SIGTERM, signal.SIGHUP):  # the beat must go on, however this ends; also a lost ssh line
             signal.signal(ending, signal.default_int_handler)
         rig, _ = load_config(options.config, "stem", StemSection)
@@ -271,8 +271,8 @@ def main(argv: Sequence[str]) -> int:
     return run_cli("flora-stem calibrate", work)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> ArgumentParser:
+    parser = ArgumentParser(
         "flora-stem calibrate",
         description="Photographs the empty setup in every lamp state, with all services running and no plant.",
     )

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from flora_common import files
 from flora_common.config import load_config
 from flora_common.errors import BadInput
-from flora_common.outputs import check_file, is_picture, is_track, must_be_new
+from flora_common.outputs import can_be_made, check_file, is_picture, is_track, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
@@ -27,7 +27,7 @@ from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, SMALLEST_PIXEL_CM, PlannedRun, dataset_runs, planned_runs
 from flora_twin.seeds import LARGEST_SEED, Seed
-from flora_twin.server import WorldServer, only_one, parse_start, serve
+from flora_twin.server import WorldServer, bound, only_one, parse_start, serve
 from flora_twin.world import World
 
 Force = Annotated[bool, typer.Option("--force", help="Replace the file that is there.")]
@@ -64,14 +64,15 @@ def serve_world(
     address: Annotated[str | None, typer.Option(help="ZeroMQ address to bind, such as ipc:///run/flora/twin.")] = None,
     state_dir: Annotated[Path | None, typer.Option(help="Folder for checkpoint and truth.jsonl.")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=LARGEST_SEED, help="The individual plant and all chance. [default: 1]")
+        int | None, typer.Option(min=0, max=LARGEST_SEED, help="The individual plant and all chance.", show_default="1")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time. [default: 0]")
+        float | None, typer.Option(min=0.0, help="0: lock-step. Else times real time.", show_default="0")
     ] = None,
     start: Annotated[str | None, typer.Option(help="UTC at time 0, ISO 8601; the present where missing.")] = None,
     planted: Annotated[
-        bool | None, typer.Option("--planted/--empty", help="Whether the plant is there at first. [default: planted]")
+        bool | None,
+        typer.Option("--planted/--empty", help="Whether the plant is there at first.", show_default="planted"),
     ] = None,
 ) -> None:
     """Serve the virtual grow box until SIGTERM; goes on where it was when STATE_DIR holds a checkpoint."""
@@ -81,11 +82,16 @@ def serve_world(
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     cv2.setNumThreads(1)  # the other services need the other cores
     start_utc_ns = parse_start(section.start) if section.start else time.time_ns()
-    folder = state_dir or Path(rig.state_dir) / "twin"
-    with only_one(folder):
+    folder, where = state_dir or Path(rig.state_dir) / "twin", address or rig.clock.twin
+    if not folder.exists():
+        can_be_made(folder, "--state-dir")
+        # A wrong address leaves no folder behind. Where there is one, the address may be its world's, which keeps it.
+        with bound(where):
+            pass
+    with only_one(folder), bound(where) as router:
         world = World(section.seed, planted=section.planted)
         server = WorldServer(world, folder, start_utc_ns=start_utc_ns, rate=section.rate, monotonic_s=time.monotonic)
-        serve(server, address or rig.clock.twin)
+        serve(server, router)
 
 
 def picture(
@@ -94,7 +100,7 @@ def picture(
     hours: Annotated[float, typer.Option(help="Age of the plant.")] = 48.0,
     light: Annotated[str, typer.Option(help="Lamp in the picture: left, right, dark or both.")] = "left",
     schedule: Annotated[str, typer.Option(help="Light before: `6h`, or `right 37h, left`; LIGHT where missing.")] = "",
-    flash: Annotated[bool, typer.Option("--flash/--no-flash")] = True,
+    flash: Annotated[bool, typer.Option("--flash/--no-flash", help="Whether the flash lights it.")] = True,
     empty: Annotated[bool, typer.Option("--empty", help="The setup without a plant.")] = False,
     force: Force = False,
 ) -> None:

@@ -234,19 +234,27 @@ class WorldServer:
         return line
 
 
-def serve(server: WorldServer, address: str) -> None:
-    """Answer requests until SIGTERM or SIGINT.
+@contextlib.contextmanager
+def bound(address: str) -> Iterator[zmq.Socket[bytes]]:
+    """The socket for :func:`serve`. Whoever had an ``ipc`` address loses it: hold the state folder first.
 
     Raises:
         BadInput: the address cannot be bound.
     """
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as router, _stop_signals() as stop:
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
         router.setsockopt(zmq.LINGER, 0)
         router.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_REQUEST_BYTES)
         try:
             router.bind(address)
         except zmq.ZMQError as problem:
             raise BadInput(f"address `{address}` cannot be bound ({problem.strerror})") from problem
+        yield router
+
+
+def serve(server: WorldServer, router: zmq.Socket[bytes]) -> None:
+    """Answer requests until SIGTERM or SIGINT."""
+    address = router.getsockopt_string(zmq.LAST_ENDPOINT)
+    with _stop_signals() as stop:
         log.info("world of seed %d at %s, time %.0f s", server.world.seed, address, server.world.time_s)
         notifier = Notifier()
         notifier.ready(f"serving seed {server.world.seed} at {address}")

@@ -338,6 +338,7 @@ def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -
         (["health", "flora-[fl"], "`[` without `]`"),
         (["record", "a.mcap", "[t]*["], "`[` without `]`"),
         (["record", "/dev/null/a.mcap"], "/dev/null/a.mcap: cannot be written, /dev/null is no folder; name another"),
+        (["record", "/proc/a.mcap"], "name another place with FILE"),  # in which not even root may make a file
         (["replay", "a.mcap", "--only", "["], "`[` without `]`"),
         (["replay", "a.mcap", "--as-fast", "--rate", "2"], "give either --as-fast or --rate"),
         (["check"], "check --help"),

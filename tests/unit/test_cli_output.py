@@ -36,9 +36,14 @@ from flora_common.cli import run_cli
 sys.exit(run_cli("program", lambda: print("one line")))
 """
 HELP = LONG.replace('["--"]', '["--help"]')
+HELP_OF_SERVICE = """
+import sys
+from flora_common.cli import ArgumentParser, run_cli
+sys.exit(run_cli("program", lambda: len(vars(ArgumentParser("program").parse_args(["--help"])))))
+"""
 
 BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-each = pytest.mark.parametrize("code", [LONG, SHORT, HELP], ids=["long", "short", "help"])
+each = pytest.mark.parametrize("code", [LONG, SHORT, HELP, HELP_OF_SERVICE], ids=["long", "short", "help", "service"])
 buffered = pytest.mark.parametrize("flags", [[], ["-u"]], ids=["buffered", "unbuffered"])
 
 

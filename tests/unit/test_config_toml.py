@@ -106,6 +106,31 @@ def test_a_run_folder_is_known_by_its_own_name_where_a_link_leads_to_it(tmp_path
     assert load_config(path, "led", OwnSection)[0].run_dir == str(link)
 
 
+@pytest.mark.parametrize("key", ["run_dir", "state_dir"])
+@pytest.mark.parametrize("inner", ["", "/inner/folder"])
+def test_check_config_sees_what_is_in_the_way_of_a_folder(
+    tmp_path: Path, key: str, inner: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from flora_bus.main import main
+
+    (tmp_path / "file").touch()
+    config, named = tmp_path / "flora.toml", f"{tmp_path}/file{inner}"
+    config.write_text(f'[rig]\n{key} = "{named}"\n')
+    assert main(["--config", str(config), "--check-config"]) == 2
+    said = f"[rig] {key} {named}: {tmp_path}/file is no folder; move it away, or name another place\n"
+    assert capsys.readouterr().err == f"flora-bus: {said}"
+
+
+def test_check_config_takes_folders_that_are_made_later(tmp_path: Path) -> None:
+    from flora_bus.main import main
+
+    config = tmp_path / "flora.toml"
+    (tmp_path / "current").symlink_to(tmp_path / "runs" / "of-next-week")
+    config.write_text(f'[rig]\nrun_dir = "{tmp_path}/current"\nstate_dir = "{tmp_path}/not/yet"\n')
+    assert main(["--config", str(config), "--check-config"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["current", "flora.toml"]
+
+
 def test_check_config_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     from flora_bus.main import main
 

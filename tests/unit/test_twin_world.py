@@ -399,6 +399,37 @@ def serve(tmp_path: Path) -> Iterator[Callable[[], Process]]:
             each.end(signal.SIGKILL)
 
 
+@pytest.mark.parametrize("address", ["nowhere", "tcp://203.0.113.1:5599", "ipc:///no/such/folder/world.sock"])
+def test_a_box_at_an_address_that_cannot_be_had_leaves_nothing_behind(
+    tmp_path: Path, address: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", "--address", address, "--state-dir", str(tmp_path / "box" / "state")]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"flora-twin: address `{address}` cannot be bound (")
+    assert told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_box_whose_folder_cannot_be_made_leaves_no_socket_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "state"
+    assert main(["serve", "--address", f"ipc://{tmp_path}/world.sock", "--state-dir", str(folder)]) == 2
+    said = f"{folder}: cannot be written, {tmp_path}/file is no folder; name another place with --state-dir\n"
+    assert capsys.readouterr().err == f"flora-twin: {said}"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_second_process_leaves_the_first_its_address(tmp_path: Path, serve: Callable[[], Process]) -> None:
+    first = serve()
+    now = first.ask("now")
+    second = serve()
+    _, told = second.process.communicate(timeout=20)
+    assert (second.process.returncode, told.count(b"\n")) == (2, 1)
+    assert first.ask("now") == now
+
+
 def test_a_killed_process_goes_on_where_it_was(tmp_path: Path, serve: Callable[[], Process]) -> None:
     first = serve()
     first.ask("plant", present=True)

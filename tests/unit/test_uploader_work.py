@@ -28,7 +28,8 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def fail_with(bench: Bench, call: str, error: StoreError) -> None:
     def at_call(_number: int, what: str) -> None:
         if what == call:
-            raise error
+            # A new one each time: raised again, one keeps the frames of all times before, of other cases too.
+            raise type(error)(*error.args)
 
     bench.target.at_call = at_call
 

@@ -60,8 +60,8 @@ def evaluate(
         typer.Option(
             min=1,
             max=100,
-            help="Runs on the virtual rig at a time.  [default: one per core, and one more]",
-            show_default=False,
+            help="Runs on the virtual rig at a time.",
+            show_default="one per core, and one more",
         ),
     ] = None,
     keep_photographs: Annotated[

@@ -46,7 +46,7 @@ def evolve(
     runs: Annotated[int, typer.Option(min=1, max=MOST_RUNS, help="Independent runs.")] = RUNS,
     generations: Annotated[int, typer.Option(min=1, max=MOST_GENERATIONS, help="Of each run.")] = GENERATIONS,
     population: Annotated[
-        int | None, typer.Option(help=f"Controllers in a generation.  [default: {POPULATION}]", show_default=False)
+        int | None, typer.Option(help="Controllers in a generation.", show_default=str(POPULATION))
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of all runs.")] = 1,
     individuals: Annotated[
@@ -62,9 +62,7 @@ def evolve(
         str | None,
         typer.Option(metavar="CFG", help="Settings of NEAT: sparse, or a file that names only what it changes."),
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="Processes.  [default: one per core]", show_default=False)
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, max=1000, help="Processes.", show_default="one per core")] = None,
     cluster: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Work on a Ray cluster: auto, HOST:PORT, ray://HOST:10001, local."),

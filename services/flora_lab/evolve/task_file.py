@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -16,15 +15,13 @@ from flora_common.paper_experiment import RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.runs import Cm, ObstacleSection, PositiveCm, TargetSection
 from flora_common.shapes import STEM_POINTS, Obstacle, Target
 from flora_common.suggest import did_you_mean
+from flora_common.task_places import check_places
 from flora_common.toml_strict import convert, read_toml, to_toml
 from flora_lab.evolve.task import BUILT_IN, START_CM, Scenario, Stem, Task, straight_stem
 from flora_lab.simulator.measured import STEP_S
 
 MOST_SCENARIOS: Final = 100
 """As many obstacles as a controller file can name."""
-BOX_WIDTH_CM: Final = 120.0
-BOX_HEIGHT_CM: Final = 200.0
-"""The grow box (section "Bio-hybrid setup"): the anchor stands in the middle of its width."""
 
 
 class StartSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -150,37 +147,9 @@ def _check_start(task: Task, where: str) -> None:
 
 
 def _check_scenario(task: Task, scenario: Scenario, where: str) -> None:
-    target, obstacle = scenario.target, scenario.obstacle
-    numbers = (target.x_cm, target.y_cm, target.radius_cm)
-    edges = (obstacle.left_cm, obstacle.bottom_cm, obstacle.right_cm, obstacle.top_cm)
-    if not all(math.isfinite(number) for number in numbers + edges):
-        raise BadInput(f"{where}: holds a number that is not finite")
-    box = f"the box, {BOX_WIDTH_CM:g} cm wide and {BOX_HEIGHT_CM:g} cm high above the anchor"
-    if not _in_box(target.x_cm, target.y_cm):
-        raise BadInput(f"{where}: target ({target.x_cm:g}, {target.y_cm:g}) cm is outside {box}")
-    if not (_in_box(*edges[:2]) and _in_box(*edges[2:])):
-        raise BadInput(
-            f"{where}: obstacle from ({edges[0]:g}, {edges[1]:g}) to ({edges[2]:g}, {edges[3]:g}) cm reaches outside "
-            f"{box}"
-        )
-    if target.contains(0.0, 0.0):
-        raise BadInput(f"{where}: the target lies on the anchor; there is nowhere to grow to")
-    if target.y_cm - target.radius_cm > task.stop_height_cm:
-        raise BadInput(
-            f"{where}: the target begins {target.y_cm - target.radius_cm:g} cm high and runs end at stop_height_cm, "
-            f"{task.stop_height_cm:g} cm"
-        )
-    centre = np.array([(target.x_cm, target.y_cm)] * 2)
-    if collides(centre, obstacle):
-        raise BadInput(f"{where}: target ({target.x_cm:g}, {target.y_cm:g}) cm is inside the obstacle")
-    if collides(np.zeros((2, 2)), obstacle):
-        raise BadInput(f"{where}: the obstacle covers the anchor; no stem can stand there")
-    if collides(task.start_stem_cm, obstacle):
+    check_places(scenario.target, scenario.obstacle, stop_height_cm=task.stop_height_cm, where=where)
+    if collides(task.start_stem_cm, scenario.obstacle):
         raise BadInput(f"{where}: the obstacle touches the stem that runs start from")
-
-
-def _in_box(x_cm: float, y_cm: float) -> bool:
-    return abs(x_cm) <= BOX_WIDTH_CM / 2 and 0.0 <= y_cm <= BOX_HEIGHT_CM
 
 
 def _scenario(file: TaskFile, place: int, where: str) -> Scenario:

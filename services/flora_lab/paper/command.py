@@ -37,8 +37,8 @@ def paper(
         typer.Option(
             min=1,
             max=1000,
-            help="Processes of evolution, and rigs at a time.  [default: one per core, and one rig more]",
-            show_default=False,
+            help="Processes of evolution, and rigs at a time.",
+            show_default="one per core, and one rig more",
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Do all steps anew.")] = False,

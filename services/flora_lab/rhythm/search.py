@@ -38,8 +38,7 @@ class Found:
         coherence_cycles: over which it keeps its phase.
         noise, line: spectra on ``Lattice.fine``, two-sided, in the record's unit squared.
         power: periodogram of the record, shape (m,).
-        noise_alone, noise_with_line, both: what is expected there of noise alone, of the noise beside the line, and
-            of noise and line, shape (m,).
+        noise_alone, both: what is expected there of noise alone, and of noise and line, shape (m,).
     """
 
     p: float
@@ -52,7 +51,6 @@ class Found:
     line: Array
     power: Array
     noise_alone: Array
-    noise_with_line: Array
     both: Array
 
 
@@ -92,7 +90,6 @@ def find(values: Array, *, known: Array, seed: int = 1, count: int = DRAWN) -> F
         line=level * ratio * grid.line_spectra[f, w],
         power=power,
         noise_alone=_scale(grid, power, null) * null,
-        noise_with_line=level * grid.noise[k],
         both=level * (grid.noise[k] + ratio * grid.lines[f, w]),
     )
 

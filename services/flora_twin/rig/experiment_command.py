@@ -19,6 +19,7 @@ from flora_common.experiment_file import ExperimentFile, Measured, Pictures, Rea
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_HOURS, STOP_HEIGHT_CM
 from flora_common.runs import ObstacleSection, TargetSection
 from flora_common.shapes import Obstacle, Target
+from flora_common.task_places import check_places
 from flora_common.toml_strict import convert
 from flora_twin.rig.experiment import Experiment, check_photographs, parse_speed, run_experiment
 from flora_twin.rig.layout import RIG_FOLDER
@@ -70,6 +71,13 @@ def experiment(
         obstacle=_obstacle(obstacle),
         stop_height_cm=stop_height_cm,
         quiet=quiet,
+    )
+    check_places(
+        asked.target,
+        asked.obstacle,
+        stop_height_cm=stop_height_cm,
+        where="--target and --obstacle",
+        stop_height="--stop-height",
     )
     console = Console(stderr=False)
     figures, outcome = run_experiment(asked, console)
