@@ -297,13 +297,6 @@ def test_the_same_runs_are_explained_by_the_same_to_the_bit() -> None:
     assert there.found.evidence == back.found.evidence
 
 
-def test_causes_are_told_as_they_are_tried() -> None:
-    told: list[int] = []
-    with one_blas_thread():
-        Explainer(scenes_of((90,)), known(), lambda: told.append(1)).explain()
-    assert len(told) >= len([effect for effect in CATALOGUE if effect.forms]) - 2
-
-
 def test_what_else_might_be_is_kept() -> None:
     explanation = explained("late")
     stage = last_choice(explanation)

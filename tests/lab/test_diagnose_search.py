@@ -11,7 +11,7 @@ from diagnose_runs import Effects, base, known, scenes_of
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.joint import Found, Joint, ready
-from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change
 from flora_lab.threads import one_blas_thread
 
@@ -90,4 +90,5 @@ def test_each_search_tells_as_many_causes_as_it_said_that_it_would() -> None:
     with one_blas_thread():
         Explainer(scenes_of((80,), {"draught": {"drive_per_cm_h": 0.2}}), known(), begun).explain()
     assert len(said) > 1
+    assert said[0] >= len([effect for effect in CATALOGUE if effect.forms]) - 2
     assert told == said

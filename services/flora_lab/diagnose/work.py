@@ -101,9 +101,9 @@ def start_from(
     """Learn the base, or read it.
 
     Raises:
-        BadInput: see :func:`flora_lab.diagnose.inputs.read_reference`, :func:`flora_lab.diagnose.inputs.check_known` and
-            :func:`flora_lab.simulator.store.read_stored`; it was learned from runs that are diagnosed or held out, or is
-            none that a diagnosis can start from.
+        BadInput: see :func:`flora_lab.diagnose.inputs.read_reference`,
+            :func:`flora_lab.diagnose.inputs.check_known` and :func:`flora_lab.simulator.store.read_stored`; it was
+            learned from runs that are diagnosed or held out, or is none that a diagnosis can start from.
     """
     stored = read_stored(simulator) if simulator is not None else None
     if stored is not None:
