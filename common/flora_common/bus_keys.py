@@ -74,6 +74,23 @@ def is_loopback(endpoint: str) -> bool:
     return _LOOPBACK.fullmatch(endpoint) is not None
 
 
+def check_port(key: str, endpoint: str) -> None:
+    """Whether a ``tcp://`` endpoint has a port: ZeroMQ takes one that there is not for another that there is.
+
+    Args:
+        key: where the endpoint stands, such as ``bus_publish``.
+        endpoint: the endpoint.
+
+    Raises:
+        ConfigError: it has none, or one that there is not.
+    """
+    port = _PORT.search(endpoint)
+    if is_tcp(endpoint) and port is None:
+        raise ConfigError(f"{key} is {endpoint}, without a port: tcp://HOST:PORT")
+    if is_tcp(endpoint) and port is not None and port[1] != "*" and int(port[1]) > _LARGEST_PORT:
+        raise ConfigError(f"{key} is {endpoint}; ports go up to {_LARGEST_PORT}")
+
+
 def check_reach(key: str, endpoint: str, *, bus_keys: str, bus_open: bool) -> None:
     """Whether a bus may listen, or be looked for, at an endpoint.
 
@@ -84,16 +101,12 @@ def check_reach(key: str, endpoint: str, *, bus_keys: str, bus_open: bool) -> No
         bus_open: whoever configured it trusts everyone who reaches the port.
 
     Raises:
-        ConfigError: it has no port, or one that there is not; other machines reach it, there are no keys, and nobody
+        ConfigError: see :func:`check_port`; or other machines reach it, there are no keys, and nobody
             has said that this is meant.
     """
     if bus_keys and bus_open:
         raise ConfigError("bus_keys and bus_open contradict each other: leave one of them out")
-    port = _PORT.search(endpoint)
-    if is_tcp(endpoint) and port is None:
-        raise ConfigError(f"{key} is {endpoint}, without a port: tcp://HOST:PORT")
-    if is_tcp(endpoint) and port is not None and port[1] != "*" and int(port[1]) > _LARGEST_PORT:
-        raise ConfigError(f"{key} is {endpoint}; ports go up to {_LARGEST_PORT}")
+    check_port(key, endpoint)
     if is_tcp(endpoint) and not is_loopback(endpoint) and not bus_keys and not bus_open:
         raise ConfigError(
             f"{key} is {endpoint}, which other machines reach, and bus_keys names no keys; make some "

@@ -26,6 +26,7 @@ import numpy as np
 import zmq
 
 from flora_common import files
+from flora_common.bus_keys import check_port
 from flora_common.errors import BadInput, FloraError
 from flora_common.notify import Notifier
 from flora_common.suggest import clipped
@@ -241,6 +242,7 @@ def bound(address: str) -> Iterator[zmq.Socket[bytes]]:
     Raises:
         BadInput: the address cannot be bound.
     """
+    check_port("--address", address)
     with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
         router.setsockopt(zmq.LINGER, 0)
         router.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_REQUEST_BYTES)

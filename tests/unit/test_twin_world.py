@@ -399,13 +399,22 @@ def serve(tmp_path: Path) -> Iterator[Callable[[], Process]]:
             each.end(signal.SIGKILL)
 
 
-@pytest.mark.parametrize("address", ["nowhere", "tcp://203.0.113.1:5599", "ipc:///no/such/folder/world.sock"])
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("nowhere", "address `nowhere` cannot be bound ("),
+        ("tcp://203.0.113.1:5599", "address `tcp://203.0.113.1:5599` cannot be bound ("),
+        ("ipc:///no/such/folder/world.sock", "address `ipc:///no/such/folder/world.sock` cannot be bound ("),
+        ("tcp://127.0.0.1:99999", "--address is tcp://127.0.0.1:99999; ports go up to 65535"),
+        ("tcp://127.0.0.1", "--address is tcp://127.0.0.1, without a port: tcp://HOST:PORT"),
+    ],
+)
 def test_a_box_at_an_address_that_cannot_be_had_leaves_nothing_behind(
-    tmp_path: Path, address: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, address: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["serve", "--address", address, "--state-dir", str(tmp_path / "box" / "state")]) == 2
     told = capsys.readouterr().err
-    assert told.startswith(f"flora-twin: address `{address}` cannot be bound (")
+    assert told.startswith(f"flora-twin: {said}")
     assert told.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
