@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -24,7 +24,7 @@ from flora_common import files
 from flora_common.errors import BadRunFolder
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
-from flora_common.toml_strict import convert, read_toml, to_toml
+from flora_common.toml_strict import convert, read_toml, to_toml, without_unknown
 
 Light = Literal["left", "right", "dark", "both"]
 LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
@@ -130,8 +130,12 @@ class RunFolder:
         self.track_csv = path / "track.csv"
         self.bus = path / "bus"
 
-    def read_run_file(self) -> RunFile:
+    def read_run_file(self, unknown: Callable[[str], None] | None = None) -> RunFile:
         """``run.toml``, checked.
+
+        Args:
+            unknown: is told in a sentence of keys that nobody here knows, as in runs that others made; they are not
+                looked at then. Without it they are refused, for a rig must not take a slip of the pen for a default.
 
         Raises:
             BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.
@@ -146,7 +150,13 @@ class RunFolder:
             raise  # it may be a good one, for another user
         except OSError as problem:  # pathlib takes few of them for no
             raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
-        return convert(read_toml(self.run_toml, BadRunFolder), RunFile, where=str(self.run_toml), error=BadRunFolder)
+        table = read_toml(self.run_toml, BadRunFolder)
+        if unknown is not None:
+            table, names = without_unknown(table, RunFile)
+            if names:
+                keys = ", ".join(f"`{name}`" for name in names)
+                unknown(f"{self.run_toml}: {keys} {'is' if len(names) == 1 else 'are'} unknown, and not looked at")
+        return convert(table, RunFile, where=str(self.run_toml), error=BadRunFolder)
 
     def background_pictures(self) -> list[Path]:
         """Pictures of the setup without a plant, in name order."""

@@ -143,6 +143,23 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None}
 
 
+def without_unknown(data: dict[str, Any], into: type[msgspec.Struct]) -> tuple[dict[str, Any], list[str]]:
+    """A parsed table without the keys that a struct type does not name, and which these are, dotted."""
+    structs = _structs_of(into)
+    known: dict[str, Any] = {}
+    unknown: list[str] = []
+    for key, value in data.items():
+        if key not in structs:
+            unknown.append(clipped(key))
+            continue
+        inner = structs[key]
+        known[key] = value
+        if inner is not None and isinstance(value, dict):
+            known[key], below = without_unknown(value, inner)
+            unknown += [f"{key}.{name}" for name in below]
+    return known, unknown
+
+
 def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str, error: type[BadInput]) -> None:
     structs = _structs_of(into)
     for key, value in data.items():

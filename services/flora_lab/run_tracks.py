@@ -13,6 +13,7 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection, RunFolder
 from flora_common.tracks import Track, read_track
+from flora_lab.asides import aside
 
 ANCHOR_TOLERANCE_CM: Final = 0.01
 FARTHEST_CM: Final = 60.0
@@ -86,7 +87,7 @@ def load_run(path: Path) -> RunTrack:
         )
         raise BadInput(f"{path}: holds no track.csv{hint}")
     name = files.shown(path.resolve().name)
-    run_file = folder.read_run_file() if folder.run_toml.exists() else None
+    run_file = folder.read_run_file(unknown=aside) if folder.run_toml.exists() else None
     plant = run_file.plant.strip() if run_file else ""
     sha256 = files.sha256_of_file(folder.track_csv)
     lamps = run_file.lamps if run_file else None

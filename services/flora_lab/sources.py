@@ -26,6 +26,7 @@ from flora_common.vision.picture import (
     read_picture_bytes,
     reduce_picture,
 )
+from flora_lab.asides import aside
 
 FILM_SUFFIXES: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 
@@ -119,7 +120,7 @@ class RunSource:
 
     def __init__(self, path: Path) -> None:
         self.folder = RunFolder(path)
-        self.run = self.folder.read_run_file()
+        self.run = self.folder.read_run_file(unknown=aside)
         self.rows = self.folder.read_frames()
         self._taken = self.folder.announced_hashes()
         self.name = str(path)

@@ -103,6 +103,21 @@ def test_bad_run_file(tmp_path: Path, text: str | None, said: str) -> None:
     assert said in str(caught.value)
 
 
+def test_keys_that_nobody_here_knows_are_told_and_not_looked_at_where_others_made_the_run(tmp_path: Path) -> None:
+    told: list[str] = []
+    run = RunFolder(tmp_path)
+    run.run_toml.write_text(
+        "seconds_between_frames = 1800\n[camera]\nanchor_px = [1, 2]\npx_per_cm = 3\n[lamps]\nleft = { x_cm = -43.0 }\n"
+    )
+    assert run.read_run_file(told.append) == RunFile(CameraSection((1.0, 2.0), 3.0))
+    (line,) = told
+    assert line == f"{run.run_toml}: `seconds_between_frames`, `lamps.left` are unknown, and not looked at"
+    run.run_toml.write_text("[camera]\nanchor_px = [1, 2]\npx_per_cm = -3\nlens = 1\n")
+    with pytest.raises(BadRunFolder, match=r"`camera\.px_per_cm` expected"):
+        run.read_run_file(told.append)
+    assert told[1:] == [f"{run.run_toml}: `camera.lens` is unknown, and not looked at"]
+
+
 def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(BadRunFolder, match="no such run folder"):
         RunFolder(tmp_path / "none").read_run_file()

@@ -12,6 +12,7 @@ from flora_common.experiment_file import Ended
 from flora_common.paper_experiment import STOP_HEIGHT_CM
 from flora_common.runs import FrameRow, RunFile, RunFolder
 from flora_common.tracks import Track, read_track
+from flora_lab.asides import aside
 from flora_lab.judging import judge, reason
 
 
@@ -60,7 +61,7 @@ def summarise(folder: RunFolder, *, stop_height_cm: float = STOP_HEIGHT_CM, long
     Raises:
         BadRunFolder: run.toml, frames.csv or track.csv is missing or unusable.
     """
-    run = folder.read_run_file()
+    run = folder.read_run_file(unknown=aside)
     frames = folder.read_frames()
     if not frames:
         raise BadRunFolder(f"{folder.frames_csv}: holds no frames")
