@@ -59,13 +59,14 @@ class Rig:
         self.section = msgspec.convert({"use": "tip-follower"} | section, ControllerSection)
         self.answers: list[ControllerAnswer] = []
         self.now_s = 0.0
+        self.keys = trusted(ADA)
         self.start()
 
     def start(self, **section: Any) -> None:
         """The order of things is that of ``flora_controller.main.build``."""
         self.section = msgspec.structs.replace(self.section, **section)
         serials = self.folder / "serials.json"
-        policy = Policy(target=TARGET, obstacle=OBSTACLE, keys=trusted(ADA))
+        policy = Policy(target=TARGET, obstacle=OBSTACLE, keys=self.keys)
 
         def keep(kept: Serials) -> None:
             write_serials(serials, kept)

@@ -152,6 +152,11 @@ def last_lines(path: Path, within_bytes: int) -> list[bytes]:
     return lines[1 if start else 0 : -1]
 
 
+def damaged_name(path: Path) -> Path:
+    """The name beside it under which a damaged file is kept for people to look at."""
+    return path.with_name(f"{path.name}.damaged-{os.urandom(4).hex()}")
+
+
 def shown(name: Path | str) -> str:
     """A file name as text that can be kept in a file: bytes of it that are no UTF-8 become U+FFFD."""
     return os.fsencode(name).decode("utf-8", "replace")

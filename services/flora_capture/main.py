@@ -19,7 +19,10 @@ def check(_: RigSection, config: CaptureSection) -> None:
 
 def build(app: App[CaptureSection]) -> None:
     camera = app.run.read_run_file().camera
-    CaptureService(app, Store(app.run), app.config.settings(camera, app.rig.clock.twin))
+    store = Store(app.run)
+    if store.mended:
+        app.log.warning("table_mended", reason=store.mended)
+    CaptureService(app, store, app.config.settings(camera, app.rig.clock.twin))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

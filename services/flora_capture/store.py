@@ -1,7 +1,8 @@
 """Photographs on the disk: the picture, its line in ``frames.jsonl``, its line in ``frames.csv``, in this order.
 
-``frames.jsonl`` is the ledger: what is listed there has been taken. ``frames.csv`` is made good from it after a crash
-or a full disk. No photograph of the run is ever written over; one of the empty setup gives way to a newer one.
+``frames.jsonl`` is the ledger: what is listed there has been taken. ``frames.csv`` is made good from it after a crash,
+a full disk, or a power cut that has left its end unreadable. No photograph of the run is ever written over; one of the
+empty setup gives way to a newer one.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import msgspec
 
 from flora_capture.core import Exposure, exposure_of
 from flora_common.errors import BadRunFolder, StoreError
-from flora_common.files import append_line, last_lines, sha256_of_bytes, sha256_of_file, write_bytes
+from flora_common.files import append_line, damaged_name, last_lines, sha256_of_bytes, sha256_of_file, write_bytes
 from flora_common.messages import Frame
 from flora_common.messages.catalogue import Purpose
-from flora_common.messages.envelope import as_sentence
+from flora_common.messages.envelope import Seconds, as_sentence
 from flora_common.runs import Light, RunFolder
 
 SHOT_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,58}\.jpg")
@@ -89,9 +90,10 @@ class Store:
         run_name: the run folder's own name, where ``run_dir`` is a link to it.
         last: the photograph with the highest tick, or None.
         taken: photographs of the run itself, without those of the empty setup.
+        mended: what was done about a damaged end of ``frames.csv``, in one sentence; empty where nothing was.
 
     Raises:
-        BadRunFolder: ``frames.csv`` is damaged.
+        BadRunFolder: the end of ``frames.csv`` is damaged and cannot be mended.
     """
 
     def __init__(self, run: RunFolder) -> None:
@@ -99,10 +101,23 @@ class Store:
         self.run_name = run.path.resolve().name
         self.last: FrameRecord | None = None
         self.taken = 0
-        self._csv_time_s = _last_time_s(run.frames_csv)
+        self.mended = ""
+        self._csv_time_s = self._time_of_csv()
         self._not_in_csv: list[FrameRecord] = []
         for record in _read_records(run.frames_log):
             self._note(record)
+
+    def _time_of_csv(self) -> float:
+        file = self._run.frames_csv
+        try:
+            return _last_time_s(file)
+        except BadRunFolder as problem:
+            try:
+                aside, lost = _without_damaged_end(file)
+            except (OSError, StoreError) as second:
+                raise problem from second
+            self.mended = f"{file}: {lost} damaged lines at its end are made anew; as it was it is kept as {aside}"
+            return _last_time_s(file)
 
     def _note(self, record: FrameRecord) -> None:
         if self.last is None or record.tick >= self.last.tick:
@@ -186,6 +201,37 @@ def _last_time_s(file: Path) -> float:
     if not lines or lines[-1].startswith(b"file,"):
         return -1.0
     try:
-        return float(lines[-1].split(b",")[1])
+        return _time_s_of(lines[-1])
     except (IndexError, ValueError) as problem:
         raise BadRunFolder(f"{file}: the last line is damaged ({lines[-1][:60]!r}); mend or remove it") from problem
+
+
+def _time_s_of(line: bytes) -> float:
+    return msgspec.convert(float(line.split(b",")[1]), Seconds)
+
+
+def _without_damaged_end(file: Path) -> tuple[Path, int]:
+    """Cut off the lines at the end that tell no time; the whole file is kept beside it first.
+
+    Returns:
+        Where it is kept, and how many lines were cut off.
+
+    Raises:
+        StoreError: no room on the disk.
+        OSError: it cannot be read or written.
+    """
+    data, aside = file.read_bytes(), damaged_name(file)
+    lines = data.split(b"\n")[:-1]
+    whole = len(lines)
+    while whole and not _is_whole(lines[whole - 1]):
+        whole -= 1
+    write_bytes(aside, data)
+    write_bytes(file, b"".join(line + b"\n" for line in lines[:whole]))
+    return aside, len(lines) - whole
+
+
+def _is_whole(line: bytes) -> bool:
+    try:
+        return line.startswith(b"file,") or _time_s_of(line) >= 0.0
+    except (IndexError, ValueError):
+        return False

@@ -74,6 +74,13 @@ class Acceptance:
         self._keep = keep
         self._utc = utc
 
+    @property
+    def last_accepted(self) -> frozenset[str]:
+        """SHA-256 of the file that was accepted last, of each key: only these may be offered a second time."""
+        return (
+            frozenset(last.sha256 for last in self._serials.keys.values()) if self._serials is not None else frozenset()
+        )
+
     def check(self, loaded: LoadedController, *, offered: bool) -> PublicKey | None:
         """Whether a file that comes from outside may steer. Changes nothing; :meth:`take` is the other half.
 
@@ -88,10 +95,10 @@ class Acceptance:
             BadController: it may not; one line that says why.
         """
         signer = self.check_kept(loaded, offered=offered)
-        if signer is not None and self._is_last(signer, loaded):
-            return signer
-        self._check_age(loaded)
-        if signer is not None:
+        is_last = signer is not None and self._is_last(signer, loaded)
+        if offered or not is_last:
+            self._check_age(loaded)
+        if signer is not None and not is_last:
             self._check_serial(signer, loaded)
         return signer
 

@@ -9,6 +9,7 @@ therefore leaves the old state or the new one, and every file that either names 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -45,7 +46,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GivenUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A controller that was returned from, under which offer it had come, and why."""
+    """A controller that was returned from, under which offer it had come (empty where that is not known), and why."""
 
     sha256: Sha256
     offer: str
@@ -91,13 +92,15 @@ class ShelfRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def without(self, entry: Entry, reason: str, *, note: str) -> ShelfRecord:
         """This one was given up, wherever it stood."""
-        others = [other for other in self.given_up if other.sha256 != entry.sha256]
-        given_up = GivenUp(entry.sha256, entry.offer, as_sentence(reason))
         return msgspec.structs.replace(
             self.only(self.named - {entry.sha256}),
-            given_up=(*others, given_up)[-MOST_REMEMBERED:],
+            given_up=self._given_up_with(GivenUp(entry.sha256, entry.offer, as_sentence(reason))),
             note=as_sentence(note),
         )
+
+    def _given_up_with(self, *given_up: GivenUp) -> tuple[GivenUp, ...]:
+        new = {one.sha256 for one in given_up}
+        return (*(other for other in self.given_up if other.sha256 not in new), *given_up)[-MOST_REMEMBERED:]
 
     def only(self, usable: set[str]) -> ShelfRecord:
         """With nothing but these, in their order."""
@@ -105,9 +108,23 @@ class ShelfRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         line = tuple(entry for entry in self.line if entry.sha256 in usable)
         return msgspec.structs.replace(self, line=line, candidate=candidate)
 
-    def on_base(self, base: str) -> ShelfRecord:
-        """The operator's controller steers, nothing offered; what was given up stays so."""
-        return ShelfRecord(base=base, given_up=self.given_up)
+    def on_base(self, base: str, accepted: Iterable[str], reason: str) -> ShelfRecord:
+        """The operator's controller steers; what was offered before it must not come back by being offered again.
+
+        Args:
+            base: name and hash of the operator's controller.
+            accepted: hashes of all other files that could be accepted once more; one of them that the operator's
+                controller is, or was until now, may still be offered.
+            reason: why, in a clause.
+        """
+        ended = [*self.line, *([self.candidate] if self.candidate else [])]
+        here = {entry.sha256 for entry in ended} | {one.sha256 for one in self.given_up}
+        by_hand = tuple(name.rpartition(" ")[2] for name in (self.base, base))
+        given_up = [
+            GivenUp(sha256, "", as_sentence(reason)) for sha256 in accepted if sha256 not in here.union(by_hand)
+        ]
+        given_up += [GivenUp(entry.sha256, entry.offer, as_sentence(reason)) for entry in reversed(ended)]
+        return ShelfRecord(base=base, given_up=self._given_up_with(*given_up))
 
 
 class Shelf:

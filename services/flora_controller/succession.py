@@ -26,6 +26,7 @@ from flora_controller.steering import Steering
 
 MOST_REFUSALS: Final = 16
 """Offers whose refusal is remembered, so that it is said again when it was lost on the way."""
+BY_HAND: Final = "the operator put another controller in its place"
 
 
 class Source(Protocol):
@@ -72,7 +73,7 @@ class Succession:
         self._shadow_ticks_done = 0
         self._record, self.trouble = shelf.read(base=self._base)
         if self._record.base != self._base:
-            self._keep(self._record.on_base(self._base))
+            self._end_offered()
         self._load_all()
 
     @property
@@ -94,10 +95,13 @@ class Succession:
         if not self._source.poll():
             return False
         left = self._record
-        self._keep(left.on_base(self._base))
+        self._end_offered()
         for entry in (*left.line[:1], *([left.candidate] if left.candidate else [])):
-            self._say(self._answer(entry, "returned", "the operator put another controller in its place"))
+            self._say(self._answer(entry, "returned", BY_HAND))
         return True
+
+    def _end_offered(self) -> None:
+        self._keep(self._record.on_base(self._base, sorted(self._acceptance.last_accepted), BY_HAND))
 
     def after_tick(self, shadow_ticks: int, failures: Sequence[Failure] = ()) -> bool:
         """Draw the consequences of a tick, and of the start; True where the lineup has changed.

@@ -14,6 +14,7 @@ from flora_common.clock import Clock
 from flora_common.clock_sync import is_right
 from flora_common.config import RigSection
 from flora_common.errors import BadInput
+from flora_common.files import damaged_name
 from flora_common.runs import RunFolder
 from flora_common.service import Action, default_clock, run_service
 from flora_common.twin_link import TwinLink, leader_clock
@@ -53,7 +54,7 @@ def read_state(file: Path, run: RunFolder) -> BeatState | None:
     gives its tick number alone.
 
     Raises:
-        BadInput: the file is damaged, or the photographs cannot be looked at.
+        BadInput: the file is damaged or cannot be read, or the photographs cannot be looked at.
     """
     state, seen, name = _read_file(file), last_photographed(run), run_name(run)
     if seen is None:
@@ -69,10 +70,29 @@ def _read_file(file: Path) -> BeatState | None:
         return msgspec.json.decode(file.read_bytes(), type=BeatState)
     except FileNotFoundError:
         return None
-    except (ValueError, OSError) as problem:
+    except (ValueError, RecursionError, OSError) as problem:
         raise BadInput(
             f"{file}: damaged ({problem}); remove it: numbers then go on after the last photograph"
         ) from problem
+
+
+def keep_damaged(file: Path) -> str:
+    """Put a damaged file aside, such as a power cut may leave: the beat needs no person to go on by the photographs.
+
+    Returns:
+        What was done, in one sentence; empty where the file is whole, is not there, or cannot be put aside.
+    """
+    try:
+        _read_file(file)
+    except BadInput as problem:
+        why, aside = problem.__cause__, damaged_name(file)
+        try:
+            if not isinstance(why, OSError):  # it may be good
+                file.rename(aside)
+                return f"damaged ({why}); kept as {aside}, numbers go on after the last photograph"
+        except OSError:
+            pass  # whoever reads it tells
+    return ""
 
 
 def run_name(run: RunFolder) -> str:
@@ -84,7 +104,10 @@ def build(app: App[FlashSection]) -> None:
     interval_s = app.run.read_run_file().interval_s
     utc_is_right = functools.partial(is_right, app.rig.clock)
     now = read_clocks(app.clock, boot_id(), utc_is_right)
-    state = read_state(app.state_dir / STATE_FILE, app.run)
+    state_file = app.state_dir / STATE_FILE
+    if kept := keep_damaged(state_file):
+        app.log.warning("state_damaged", file=state_file, reason=kept)
+    state = read_state(state_file, app.run)
     beat = Beat(interval_s, run=run_name(app.run), state=state, now=now)
     lamp = open_lamp(app.rig, app.config)
     lamp.switch(False)

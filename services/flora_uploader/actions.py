@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target, ru
 from flora_uploader.ledger import Ledger, read_only
 from flora_uploader.ledger_damage import LedgerDamaged
 from flora_uploader.model import Event, World
+from flora_uploader.owner import Owners
 from flora_uploader.retention import disk_percent_free
 from flora_uploader.uploader import Uploader
 
@@ -40,7 +42,8 @@ def make_uploader(
 
     spool, target = runs_dir(rig, config), make_target(rig, config)
     world = World(time.monotonic, time.time_ns, room, say)
-    return Uploader(spool, Path(rig.run_dir), target, ledger, config, world, may_free=may_free)
+    owners = Owners(target, ledger.id, rig=rig.name, machine=platform.node())
+    return Uploader(spool, Path(rig.run_dir), target, owners, ledger, config, world, may_free=may_free)
 
 
 def upload_once(rig: RigSection, config: UploaderSection) -> int:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
 from flora_common.errors import StoreError
+from flora_common.files import damaged_name
 
 
 class LedgerProblem(StoreError):
@@ -38,7 +38,7 @@ def put_aside(path: Path, reason: str) -> str:
     Raises:
         LedgerProblem: its folder does not let it.
     """
-    aside = path.with_name(f"{path.name}.damaged-{os.urandom(4).hex()}")
+    aside = damaged_name(path)
     try:
         path.replace(aside)
         for suffix in ("-wal", "-shm"):

@@ -76,6 +76,11 @@ class Entry:
     def key(self) -> tuple[str, str]:
         return self.run, self.path
 
+    @property
+    def destination(self) -> str:
+        """Path at the target."""
+        return f"{self.run}/{self.path}"
+
 
 @dataclass(frozen=True, slots=True)
 class Found:

@@ -130,4 +130,5 @@ class Spool:
                 reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
                 self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
                 self._conditions.set(f"run {run}", reason)
+                self._conditions.clear(f"owner {run}")
                 self._say(Event("refused", run, reason=reason))

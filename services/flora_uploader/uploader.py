@@ -19,6 +19,7 @@ from flora_uploader.ledger import Ledger
 from flora_uploader.ledger_damage import LedgerDamaged, LedgerProblem
 from flora_uploader.ledger_model import Entry
 from flora_uploader.model import Event, Stage, Totals, World
+from flora_uploader.owner import Owners
 from flora_uploader.policy import Pause, Waits
 from flora_uploader.spool import Spool
 from flora_uploader.target import Target
@@ -55,6 +56,7 @@ class Uploader:
         runs_dir: folder with run folders.
         run_dir: the rig's present run folder.
         target: where files go.
+        owners: whose run folders are there.
         ledger: what has been verified.
         config: how often, and how much room.
         world: clocks, chance, disk.
@@ -66,6 +68,7 @@ class Uploader:
         runs_dir: Path,
         run_dir: Path,
         target: Target,
+        owners: Owners,
         ledger: Ledger,
         config: UploaderSection,
         world: World,
@@ -73,6 +76,7 @@ class Uploader:
         may_free: bool = True,
     ) -> None:
         self._target = target
+        self._owners = owners
         self._ledger = ledger
         self._config = config
         self._world = world
@@ -187,23 +191,19 @@ class Uploader:
             now_ns = self._world.utc_ns()
             oldest = self._ledger.next_to_free(
                 now_ns - retention.YOUNGEST_NS,
-                lambda e: (
-                    e.run in self._spool.runs
-                    and retention.may_be_freed(e, now_ns)
-                    and self._waits.is_over(e.key, now_s)
-                ),
+                lambda e: e.run in self._spool.runs and retention.may_be_freed(e, now_ns) and self._is_over(e, now_s),
             )
             if oldest is not None:
                 return self._free(oldest)
         if self._config.recheck_per_hour > 0 and now_s >= self._recheck_at_s:
-            checked = self._ledger.next_to_check(lambda e: self._waits.is_over(e.key, now_s))
+            checked = self._ledger.next_to_check(lambda e: self._is_over(e, now_s))
             if checked is not None:
                 return self._recheck(checked)
         return None
 
     def _next_upload(self, now_s: float) -> Entry | None:
         def may(entry: Entry) -> bool:
-            return entry.run in self._spool.runs and self._waits.is_over(entry.key, now_s)
+            return entry.run in self._spool.runs and self._is_over(entry, now_s)
 
         def is_due(entry: Entry) -> bool:
             sent_s = self._table_sent_s.get(entry.key)
@@ -212,6 +212,9 @@ class Uploader:
         if self._closing:
             return self._ledger.next_waiting("table", is_due) or self._ledger.next_waiting("once", may)
         return self._ledger.next_waiting("once", may) or self._ledger.next_waiting("table", is_due)
+
+    def _is_over(self, entry: Entry, now_s: float) -> bool:
+        return all(self._waits.is_over(key, now_s) for key in (entry.key, (entry.run, "")))
 
     def _idle_s(self, now_s: float) -> float:
         wake_s = [self._scan_at_s, self._disk_at_s, now_s + LONGEST_IDLE_S]
@@ -251,15 +254,14 @@ class Uploader:
 
     def _upload(self, entry: Entry) -> Work:
         source = self._spool.runs[entry.run] / entry.path
-        destination = _destination(entry)
-        order = Order(source, destination, entry.kind, entry.expected, self._ledger.id)
+        order = Order(source, entry.destination, entry.kind, entry.expected, self._ledger.id)
         with self._connected(entry) as connected:
-            if not connected:
+            if not (connected and self._is_ours(entry.run)):
                 return
             try:
                 done = yield from transfer(order, self._target)
             except SourceGone as problem:
-                yield from self._source_gone(entry, destination, str(problem))
+                yield from self._source_gone(entry, str(problem))
                 return
             except SourceDamaged as problem:
                 self._ledger.mark(entry, "damaged", str(problem))
@@ -277,12 +279,12 @@ class Uploader:
             aside = f"another file of that name was there and is kept as {done.moved_aside}" if done.moved_aside else ""
             self._say("stored", entry, sha256=done.sha256, bytes=done.size, reason=aside)
 
-    def _source_gone(self, entry: Entry, destination: str, reason: str) -> Work:
+    def _source_gone(self, entry: Entry, reason: str) -> Work:
         if not self._spool.is_there(entry.run):
             self._spool.runs.pop(entry.run)
             self._scan_all_at_s = 0.0  # the next scan tells what is missing
             return
-        if entry.sha256 and (yield from hash_at_target(self._target, destination)) == entry.sha256:
+        if entry.sha256 and (yield from hash_at_target(self._target, entry.destination)) == entry.sha256:
             self._ledger.mark(entry, "freed")
             self.conditions.clear(_trouble_with(entry))
         elif entry.kind == "table" and not entry.sha256:
@@ -290,7 +292,7 @@ class Uploader:
             self.conditions.clear(_trouble_with(entry))
         elif entry.sha256:
             self._ledger.mark(entry, "damaged", "the copy at the target is damaged, and the spool has none any more")
-            self._refused(entry, f"{destination}: damaged at the target, and the spool has none any more")
+            self._refused(entry, f"{entry.destination}: damaged at the target, and the spool has none any more")
         else:
             self._ledger.mark(entry, "vanished", reason)
             self._refused(entry, reason)
@@ -298,27 +300,26 @@ class Uploader:
     def _recheck(self, entry: Entry) -> Work:
         self._recheck_at_s = self._world.now_s() + 3600.0 / self._config.recheck_per_hour
         with self._connected(entry) as connected:
-            if not connected:
+            if not (connected and self._is_ours(entry.run)):
                 return
-            found = yield from hash_at_target(self._target, _destination(entry))
+            found = yield from hash_at_target(self._target, entry.destination)
             self.totals.rechecked += 1
             if found == entry.sha256:
                 self._ledger.checked(entry)
                 return
             self.totals.found_damaged += 1
             what = "is missing" if found is None else "is not what was stored there"
-            reason = f"{self._target.name}/{_destination(entry)}: {what}; it is sent again"
+            reason = f"{self._target.name}/{entry.destination}: {what}; it is sent again"
             self._ledger.mark(entry, "waiting", reason)
             self._table_sent_s.pop(entry.key, None)
             self._say("waiting", entry, reason=reason)
 
     def _free(self, entry: Entry) -> Work:
         with self._connected(entry) as connected:
-            if not connected:
+            if not (connected and self._is_ours(entry.run)):
                 return
             source = self._spool.runs[entry.run] / entry.path
-            now_ns = self._world.utc_ns()
-            result = yield from retention.free(entry, source, _destination(entry), self._target, now_ns)
+            result = yield from retention.free(entry, source, entry.destination, self._target, self._world.utc_ns())
             if result in ("freed", "gone"):
                 self._ledger.mark(entry, "freed")
             elif result in ("changed", "not_at_target"):
@@ -350,6 +351,17 @@ class Uploader:
         finally:
             self._target.disconnect()
 
+    def _is_ours(self, run: str) -> bool:
+        is_there = run in self._spool.runs and self._spool.is_there(run)
+        other = self._owners.other(run, self._spool.runs[run]) if is_there else ""
+        if self.conditions.set(f"owner {run}", other):
+            self._world.say(Event("refused", run, destination=f"{self._target.name}/{run}", reason=other))
+        if not other:
+            self._waits.forget((run, ""))
+            return True
+        self._waits.begin((run, ""), self._world.now_s())
+        return False
+
     def _failed(self, problem: StoreError, entry: Entry | None) -> None:
         if entry is not None:
             self._waits.begin(entry.key, self._world.now_s())
@@ -373,7 +385,7 @@ class Uploader:
             self._say("refused", entry, reason=reason)
 
     def _say(self, stage: Stage, entry: Entry, *, sha256: str = "", bytes: int = 0, reason: str = "") -> None:  # noqa: A002
-        destination = f"{self._target.name}/{_destination(entry)}"
+        destination = f"{self._target.name}/{entry.destination}"
         self._world.say(Event(stage, entry.run, entry.path, sha256, bytes, destination, reason))
 
     def _look_at_disk(self, now_s: float) -> None:
@@ -386,7 +398,3 @@ class Uploader:
 def _trouble_with(entry: Entry) -> str:
     """Name of the condition that a file is in."""
     return f"file {entry.run}/{entry.path}"
-
-
-def _destination(entry: Entry) -> str:
-    return f"{entry.run}/{entry.path}"

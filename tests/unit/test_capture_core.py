@@ -12,7 +12,7 @@ from device_fakes import GOOD_METADATA, tiny_jpeg
 from flora_capture.core import LockedExposure, Sequence, exposure_note, exposure_of
 from flora_capture.store import FrameRecord, Store
 from flora_capture.wire import Answer, Assembler, pack
-from flora_common.errors import BadPicture, BadRunFolder, CameraGone, StoreError
+from flora_common.errors import BadPicture, BadRunFolder, CameraGone, DiskFull, StoreError
 from flora_common.messages import Flash
 from flora_common.runs import RunFolder
 from flora_common.vision.header import picture_size
@@ -184,7 +184,46 @@ def test_a_name_that_is_none_is_refused(run: RunFolder, shot: str) -> None:
         Store(run).name_for(1, "background", shot)
 
 
-def test_a_damaged_table_is_one_clear_line(run: RunFolder) -> None:
+DAMAGE = [b"\n", b"\n\n", b"\0" * 30 + b"\n", b"frames/000002.jpg;600;left\n", b"frames/000002.jpg,nan,left\n"]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_end_of_the_table_is_made_anew_and_kept_aside(run: RunFolder, damage: bytes) -> None:
+    store = Store(run)
+    for tick in (1, 2):
+        store.add(tiny_jpeg(), record(tick))
+    store.complete_csv()
+    whole = run.frames_csv.read_bytes()
+    damaged = b"".join(line + b"\n" for line in whole.split(b"\n")[:2]) + damage
+    run.frames_csv.write_bytes(damaged)
+
+    again = Store(run)
+    again.complete_csv()
+
+    (aside,) = run.path.glob("frames.csv.damaged-*")
+    assert aside.read_bytes() == damaged
+    assert run.frames_csv.read_bytes() == whole
+    assert str(aside) in again.mended
+    assert Store(run).mended == ""
+
+
+def test_a_table_of_nothing_but_damage_is_made_anew(run: RunFolder) -> None:
+    store = Store(run)
+    store.add(tiny_jpeg(), record(1))
+    store.complete_csv()
+    whole = run.frames_csv.read_bytes()
+    run.frames_csv.write_bytes(b"\n")
+    Store(run).complete_csv()
+    assert run.frames_csv.read_bytes() == whole
+
+
+def test_a_damaged_table_that_cannot_be_mended_is_one_clear_line(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> None:
+        raise DiskFull("no room on the disk")
+
+    monkeypatch.setattr("flora_capture.store.write_bytes", no_room)
     run.frames_csv.write_text("file,time_s,light\nframes/000001.jpg;0;left\n")
     with pytest.raises(BadRunFolder, match=r"frames\.csv: the last line is damaged"):
         Store(run)

@@ -183,12 +183,21 @@ def test_an_expiry_is_not_believed_before_the_clock_is(rig: Rig) -> None:
 
 def test_what_steers_when_it_expires_goes_on_through_a_restart(rig: Rig) -> None:
     loaded = signed(serial=7, expires="2026-12-01T13:00:00Z")
-    assert rig.offer(loaded) == ""
+    assert rig.offer(loaded, offered=False) == ""
     rig.now = NOON + timedelta(hours=2)
     rig.restart()
 
-    assert rig.offer(loaded) == ""
+    assert rig.offer(loaded, offered=False) == ""
     assert "expired" in rig.offer(signed(serial=8, expires="2026-12-01T13:00:00Z"))
+
+
+def test_the_last_one_is_not_accepted_anew_when_it_is_offered_after_its_expiry(rig: Rig) -> None:
+    loaded = signed(serial=7, expires="2026-12-01T13:00:00Z")
+    assert rig.offer(loaded) == ""
+    rig.now = NOON + timedelta(hours=2)
+
+    assert "expired" in rig.offer(loaded)
+    assert rig.acceptance.check_kept(loaded, offered=True) == trusted(ADA)[ADA_ID]
 
 
 def test_a_kept_file_may_come_back_though_newer_ones_were_accepted_since(rig: Rig) -> None:

@@ -16,7 +16,7 @@ from flora_common.controller_file import SUFFIX, LoadedController
 from flora_common.errors import BadController, DiskFull
 from flora_common.files import sha256_of_bytes
 from flora_common.signing import signer_of
-from flora_controller.shelf import MOST_KEPT, MOST_REMEMBERED, RECORD, Entry, Shelf, ShelfRecord
+from flora_controller.shelf import MOST_KEPT, MOST_REMEMBERED, RECORD, Entry, GivenUp, Shelf, ShelfRecord
 from signing_keys import ADA, signed, trusted
 
 FILES = [signed(serial=number) for number in range(1, 6)]
@@ -95,10 +95,21 @@ def test_one_that_steers_again_is_in_the_line_once(shelf: Shelf) -> None:
 
 
 def test_the_operators_choice_empties_the_line_and_forgets_no_failure(shelf: Shelf) -> None:
-    record = put(shelf, EMPTY, *FILES[:2]).without(entry(FILES[1]), "r", note="n").on_base("dark")
+    record = put(shelf, EMPTY, *FILES[:2]).without(entry(FILES[1]), "r", note="n").on_base("dark", (), "by hand")
 
     assert (record.base, record.line, record.candidate, record.note) == ("dark", (), None, "")
     assert record.given_up_of(FILES[1].sha256) is not None
+
+
+def test_the_operators_choice_gives_up_all_that_was_offered_and_could_be_accepted_again(shelf: Shelf) -> None:
+    (steers, behind, trial, dropped, by_hand), other = FILES, f"{7:064x}"
+    record = put(shelf, ShelfRecord(base=f"old name {by_hand.sha256}"), behind, steers).with_candidate(entry(trial))
+
+    record = record.on_base(f"new {other}", (steers.sha256, dropped.sha256, by_hand.sha256, other), "by hand")
+
+    assert {g.sha256 for g in record.given_up} == {f.sha256 for f in (steers, behind, trial, dropped)}
+    assert {g.reason for g in record.given_up} == {"by hand"}
+    assert record.given_up_of(steers.sha256) == GivenUp(steers.sha256, entry(steers).offer, "by hand")
 
 
 def test_failures_are_remembered_up_to_a_bound() -> None:

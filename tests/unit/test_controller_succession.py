@@ -15,7 +15,7 @@ from flora_controller import shelf
 from flora_controller.offers import PATIENCE_S
 from flora_controller.record import write_record
 from flora_controller.shadow import MOST_SWITCHES_PER_H
-from signing_keys import BOB, TIP_ONLY, signed
+from signing_keys import ADA, BOB, TIP_ONLY, signed, trusted
 
 RIGHT_OF_IT, LEFT_OF_IT = 0.0, -9.0
 """Tips on either side of the target's x."""
@@ -421,6 +421,31 @@ def test_another_configured_controller_ends_what_was_offered(rig: Rig) -> None:
     _, back = rig.tick(3)
 
     assert (said.controller, back.controller) == ("dark", "tip-follower")
+
+
+@pytest.mark.parametrize("shadow_ticks", [0, 5])
+def test_what_the_operator_ended_does_not_come_back_by_being_offered_again(rig: Rig, shadow_ticks: int) -> None:
+    rig.offer(FIRST, shadow_ticks=shadow_ticks, offer="1" * 16)
+    rig.start(use="dark")
+
+    repeated = rig.offer(FIRST, offer="1" * 16)
+    rig.start()
+    in_another_offer = rig.offer(FIRST)
+    _, said = rig.tick(1)
+
+    assert (repeated.stage, in_another_offer.stage, said.controller) == ("returned", "refused", "dark")
+    assert "the operator put another controller in its place; sign it again" in in_another_offer.reason
+    assert rig.offer(tip_only(serial=2, name="first")).stage == "steering"
+
+
+def test_what_was_displaced_before_the_operators_choice_does_not_come_back_after_it_either(rig: Rig) -> None:
+    rig.keys = trusted(ADA, BOB)
+    rig.start()
+    rig.offer(FIRST, shadow_ticks=5)
+    rig.offer(signed(TIP_ONLY, BOB, serial=1), shadow_ticks=5)  # another key's: no newer serial of the first one's
+    rig.start(use="dark")
+
+    assert rig.offer(FIRST).stage == "refused"
 
 
 def test_a_file_on_the_shelf_that_may_not_steer_any_more_is_left_out_and_told(rig: Rig) -> None:

@@ -20,7 +20,7 @@ from flora_flash import handshake
 from flora_flash.backends import NoLamp
 from flora_flash.core import Beat, BeatState, Photographed, Reading
 from flora_flash.handshake import FlashSection, FlashService, read_clocks
-from flora_flash.main import read_state
+from flora_flash.main import keep_damaged, read_state
 from flora_flash.photographs import last_photographed
 
 SHA = "0" * 64
@@ -507,11 +507,39 @@ def test_a_run_that_has_begun_goes_on_without_its_background(rig: Callable[..., 
     assert again.heard(Tick)[-1].tick == 3
 
 
-def test_a_damaged_state_file_is_one_clear_line(rig: Callable[..., Rig], tmp_path: Path) -> None:
-    (tmp_path / "state").mkdir()
-    (tmp_path / "state" / "flash.json").write_text('{"tick": -3}')
+def test_a_damaged_state_file_is_one_clear_line_where_it_cannot_be_put_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "rename", refused)
+    file = tmp_path / "flash.json"
+    file.write_text('{"tick": -3}')
+    assert keep_damaged(file) == ""
     with pytest.raises(BadInput, match=r"flash\.json: damaged .*remove it"):
-        rig().start()
+        read_state(file, RunFolder(tmp_path / "run"))
+
+
+@pytest.mark.parametrize("damage", [b"", b"\0" * 100, b'{"tick": -3}', b"[" * 9999])
+def test_a_damaged_state_file_is_kept_aside_and_numbers_go_on_after_the_photographs(
+    tmp_path: Path, damage: bytes
+) -> None:
+    file, run = tmp_path / "flash.json", RunFolder(tmp_path / "run")
+    run.frames.mkdir(parents=True)
+    (run.frames / "000007.jpg").write_bytes(b"x")
+    run.append_frame("frames/000007.jpg", 1800.0, "dark")
+    file.write_bytes(damage)
+
+    said = keep_damaged(file)
+
+    (aside,) = tmp_path.glob("flash.json.damaged-*")
+    assert str(aside) in said
+    assert aside.read_bytes() == damage
+    state = read_state(file, run)
+    assert state is not None
+    assert state.tick == 7
+    assert keep_damaged(file) == ""
 
 
 def test_without_a_state_file_numbers_go_on_after_the_photographs(rig: Callable[..., Rig]) -> None:

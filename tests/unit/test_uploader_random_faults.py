@@ -10,6 +10,7 @@ from uploader_fakes import DAY_NS, Bench, Killed, sha
 
 from flora_common.errors import DiskFull, NasRefused, NasUnreachable, StoreError
 from flora_uploader.config import UploaderSection
+from flora_uploader.owner import MARK
 
 FAULTS = (
     NasUnreachable("/memory: gone"),
@@ -45,6 +46,8 @@ class Story:
             if path == "track.csv":
                 assert self.table.startswith(data)
                 assert data.endswith(b"\n")
+            elif path == MARK:
+                assert data == (self.bench.run / MARK).read_bytes()
             elif path in self.pictures:
                 assert data == self.pictures[path], f"{path} is torn"
             else:
@@ -94,6 +97,7 @@ def test_nothing_is_lost_torn_or_doubled(tmp_path: Path, seed: int) -> None:
     assert not bench.uploader.conditions.is_serious, bench.uploader.conditions.sentence()
     expected = {f"bean/{path}": data for path, data in story.pictures.items()}
     expected["bean/track.csv"] = story.table
+    expected[f"bean/{MARK}"] = (bench.run / MARK).read_bytes()
     expected["bean/run.toml"] = (bench.run / "run.toml").read_bytes()
     expected["bean/frames.jsonl"] = (bench.run / "frames.jsonl").read_bytes()
     assert bench.target.files == expected  # no .part, no conflict, no double
@@ -113,5 +117,5 @@ def test_a_quiet_run_writes_every_picture_exactly_once(tmp_path: Path) -> None:
     pictures = [path for stage, path in bench.stages() if stage == "stored" and path.endswith(".jpg")]
     assert sorted(pictures) == [f"frames/{number:06d}.jpg" for number in range(1, 20)]
     tables = [path for stage, path in bench.stages() if stage == "stored" and not path.endswith(".jpg")]
-    assert len(created) == len(pictures) + len(tables)
+    assert len(created) == len(pictures) + len(tables) + 1  # and the mark of whose they are
     bench.kill()

@@ -55,11 +55,19 @@ def test_every_file_of_record_arrives_and_nothing_else(bench: Bench) -> None:
     bench.write("notes.txt", b"not a run", run=bench.spool / "no-run")
     bench.work()
     assert sorted(bench.target.files) == [
+        "bean/.flora-owner",
         *("bean/background/left.jpg", "bean/bus/0001.mcap", "bean/frames.jsonl", "bean/frames/000001.jpg"),
-        *("bean/run.toml", "bean/track.csv", "bean/truth/000001.json", "older/frames/000001.jpg", "older/run.toml"),
+        *(
+            "bean/run.toml",
+            "bean/track.csv",
+            "bean/truth/000001.json",
+            "older/.flora-owner",
+            "older/frames/000001.jpg",
+            "older/run.toml",
+        ),
     ]
     assert bench.uploader.waiting == 0
-    assert bench.uploader.stored == len(bench.target.files)
+    assert bench.uploader.stored == len(bench.target.files) - 2  # and two marks of whose they are
     assert not bench.target.renamed_unsynced
     stored = [event for event in bench.events if event.stage == "stored"]
     assert {event.sha256 for event in stored if event.path == "frames/000001.jpg"} == {sha(b"one"), sha(b"older run")}

@@ -13,6 +13,7 @@ from flora_common.errors import NasUnreachable
 from flora_uploader.config import UploaderSection
 from flora_uploader.ledger import Ledger
 from flora_uploader.model import Event, World
+from flora_uploader.owner import Owners
 from flora_uploader.uploader import Uploader
 
 DAY_NS = 24 * 3600 * 1_000_000_000
@@ -176,7 +177,8 @@ class Bench:
             self.events.append,
             lambda low, high: high,
         )
-        self.uploader = Uploader(self.spool, self.run, self.target, self.ledger, self.config, world)
+        owners = Owners(self.target, self.ledger.id, rig="box1", machine="pi")
+        self.uploader = Uploader(self.spool, self.run, self.target, owners, self.ledger, self.config, world)
 
     def restart(self) -> None:
         self.uploader.abandon()
