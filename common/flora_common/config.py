@@ -15,7 +15,7 @@ import msgspec
 from flora_common.bus import BusAddress
 from flora_common.bus_keys import ClientKeys, check_reach, client_keys, is_loopback, is_tcp
 from flora_common.errors import BadInput, ConfigError
-from flora_common.messages.envelope import Name
+from flora_common.messages.envelope import Name, RigName
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 
@@ -41,7 +41,14 @@ SECTIONS: Final = (
 DASHBOARD_PORT: Final = 8322
 """Where the page is looked for, unless the configuration says otherwise."""
 
-Endpoint = Annotated[str, msgspec.Meta(pattern=r"^(ipc|tcp|inproc)://.+", max_length=256)]
+Endpoint = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=r"^(ipc|tcp|inproc)://.+",
+        max_length=256,
+        extra={"words": "an address such as ipc:///run/flora/bus-publish or tcp://10.0.0.5:5571"},
+    ),
+]
 
 
 class ClockSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,7 +64,7 @@ class ClockSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class RigSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[rig]``: what all services share."""
 
-    name: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")] = "box1"
+    name: RigName = "box1"
     """First part of every topic; small letters, digits, - and _."""
 
     run_dir: str = "/var/lib/flora/runs/current"

@@ -22,6 +22,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadRunFolder
+from flora_common.messages.envelope import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml, without_unknown
@@ -91,7 +92,7 @@ class RunFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``run.toml``."""
 
     camera: CameraSection
-    rig: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")] = "box1"
+    rig: RigName = "box1"
     plant: Annotated[str, msgspec.Meta(max_length=200)] = ""
     start: datetime | None = None
     interval_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0

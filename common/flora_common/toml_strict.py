@@ -90,6 +90,8 @@ def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadI
         message = text[: at.start()] if at else text
         path = at.group(1) if at and at.group(1) else ""
         key = f" `{path}`" if path else ""
+        if words := _in_words(into, path, message):
+            raise error(f"{where}:{key} must be {words}, it is {clipped(repr(_value_at(data, path)))}") from problem
         hint = _known_values(into, path, message) or number_given(data, path)
         raise error(f"{where}:{key} {message[0].lower()}{clipped(message[1:], 200)}{hint}") from problem
 
@@ -99,15 +101,30 @@ def _known_values(into: type[msgspec.Struct], path: str, message: str) -> str:
     wrong = re.match(r"Invalid enum value '(.*)'$", message)
     if wrong is None:
         return ""
+    kind = _type_at(into, path)
+    literals = [part for part in (kind, *typing.get_args(kind)) if typing.get_origin(part) is typing.Literal]
+    return did_you_mean(wrong.group(1), [str(v) for part in literals for v in typing.get_args(part)])
+
+
+def _in_words(into: type[msgspec.Struct], path: str, message: str) -> str:
+    """For a text that is not of the form asked for: what its type's ``Meta(extra={"words": ...})`` says of the form."""
+    if not message.startswith("Expected `str` matching regex"):
+        return ""
+    kind = _type_at(into, path)
+    metas = (part for part in typing.get_args(kind) if isinstance(part, msgspec.Meta))
+    return next((str(meta.extra["words"]) for meta in metas if meta.extra and "words" in meta.extra), "")
+
+
+def _type_at(into: type[msgspec.Struct], path: str) -> Any:
+    """The annotation of the field at a place such as ``noise.omega``; None where there is none."""
     kind: Any = into
     for name in re.sub(r"\[[^\]]*\]", "", path).split("."):
         owner = _struct_in(kind)
         found = [field.type for field in msgspec.structs.fields(owner) if field.encode_name == name] if owner else []
         if not found:
-            return ""
+            return None
         kind = found[0]
-    literals = [part for part in (kind, *typing.get_args(kind)) if typing.get_origin(part) is typing.Literal]
-    return did_you_mean(wrong.group(1), [str(v) for part in literals for v in typing.get_args(part)])
+    return kind
 
 
 def number_given(data: dict[str, Any], path: str) -> str:
@@ -120,18 +137,23 @@ def number_given(data: dict[str, Any], path: str) -> str:
     Returns:
         ``, it is nan``; empty where there is no number at that place.
     """
-    value: Any = data
-    for name in re.findall(r"[^.\[\]]+", path):
-        try:
-            value = value[int(name) if isinstance(value, list) else name]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return ""
+    value = _value_at(data, path)
     if not isinstance(value, int | float) or isinstance(value, bool):
         return ""
     try:
         return f", it is {value:g}"
     except OverflowError:  # a whole number that no float holds; its hundreds of digits would help nobody
         return ""
+
+
+def _value_at(data: dict[str, Any], path: str) -> Any:
+    value: Any = data
+    for name in re.findall(r"[^.\[\]]+", path):
+        try:
+            value = value[int(name) if isinstance(value, list) else name]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return value
 
 
 def to_toml(value: msgspec.Struct) -> str:

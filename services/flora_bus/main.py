@@ -30,7 +30,12 @@ from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
 from flora_common.service import Action, run_service
 
-NetworkEndpoint = Annotated[str, msgspec.Meta(pattern=r"^(tcp://.+)?$(?!\n)", max_length=256)]
+NetworkEndpoint = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=r"^(tcp://.+)?$(?!\n)", max_length=256, extra={"words": "an address such as tcp://*:5571, or empty"}
+    ),
+]
 
 
 class BusSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

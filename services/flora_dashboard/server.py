@@ -26,16 +26,34 @@ _TOO_MANY: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class ImpatientProtocol(H11Protocol):
-    """uvicorn's, which waits for ever for the first request of a connection."""
+    """uvicorn's, which waits for ever for a connection's first request, and for the rest of a later one."""
+
+    _request_due: asyncio.TimerHandle | None = None
+    """Runs while a request is waited for; between two of them uvicorn's own, shorter patience counts."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self.loop.call_later(REQUEST_WITHIN_S, self._hang_up)
+        self._wait()
 
-    def _hang_up(self) -> None:
-        request: object = self.cycle  # None before the first one
-        if request is None and not self.transport.is_closing():
-            self.transport.close()
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._wait_no_more()
+
+    def _wait(self) -> None:
+        request = self.cycle  # None before the first one
+        if request is not None and not request.response_complete:
+            self._wait_no_more()
+        elif self._request_due is None:
+            self._request_due = self.loop.call_later(REQUEST_WITHIN_S, self.transport.close)
+
+    def _wait_no_more(self) -> None:
+        if self._request_due is not None:
+            self._request_due.cancel()
+            self._request_due = None
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -27,7 +27,12 @@ class LedSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     backend: Literal["neopixel", "virtual"] = "neopixel"
     """The chain of 288 pixels, or that of the virtual grow box."""
 
-    pin: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)] = "D18"
+    pin: Annotated[
+        str,
+        msgspec.Meta(
+            pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32, extra={"words": "the name of a pin, such as D18"}
+        ),
+    ] = "D18"
     """The chain's data line, by its name in Blinka's ``board``."""
 
     twin: str = ""

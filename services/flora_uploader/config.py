@@ -25,6 +25,7 @@ class UploaderSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str,
         msgspec.Meta(
             pattern=r"^[^/\x00]*$",
+            extra={"words": "the name of a file, without /"},
             max_length=200,
             description="file that must be at the target, or nothing is written; empty for no check",
         ),

@@ -73,9 +73,10 @@ def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
     except OSError as problem:
         raise SpoolUnreadable(f"{runs_dir}: the spool cannot be listed ({problem.strerror})") from problem
     found = RunFolders({}, [], {}, [])
+    unnameable: set[Path] = set()
     for candidate in candidates:
         path = real_path(candidate)
-        if path in found.runs.values():
+        if path in found.runs.values() or path in unnameable:
             continue
         trouble = ""
         try:
@@ -86,6 +87,7 @@ def run_folders(runs_dir: Path, run_dir: Path) -> RunFolders:
         # neither a name that the ledger cannot take nor a dead mount or a bad sector holds up the others
         if not is_text(path.name):
             found.unnameable.append(repr(path.name))
+            unnameable.add(path)
         elif trouble:
             found.unreadable.update(dict.fromkeys((candidate.name, path.name), trouble))
         elif path.name in found.runs:

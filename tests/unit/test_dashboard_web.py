@@ -218,6 +218,34 @@ def test_a_connection_that_asks_for_nothing_is_closed_and_one_that_did_is_not(
         served.server.stop()
 
 
+@pytest.mark.parametrize("drip", [False, True])
+def test_half_a_second_request_is_not_waited_for_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drip: bool
+) -> None:
+    monkeypatch.setattr("flora_dashboard.server.REQUEST_WITHIN_S", 0.5)
+    served = Served(tmp_path)
+    try:
+        with socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as half:
+            for _ in range(3):  # a connection that goes on asking is kept
+                half.sendall(b"HEAD /nothing HTTP/1.1\r\nHost: x\r\n\r\n")
+                assert b"404" in half.recv(1000)
+                time.sleep(0.25)
+            half.sendall(b"GET / HT")
+            half.settimeout(0.1 if drip else WITHIN_S)
+            end_s = time.monotonic() + WITHIN_S
+            while True:
+                assert time.monotonic() < end_s, "still open"
+                try:
+                    assert half.recv(100) == b""
+                    break
+                except TimeoutError:
+                    half.sendall(b"x")
+                except (ConnectionResetError, BrokenPipeError):
+                    break
+    finally:
+        served.server.stop()
+
+
 def test_connections_for_which_there_is_no_descriptor_are_counted_and_told_once(served: Served) -> None:
     loop = served.server._loop
     assert loop is not None

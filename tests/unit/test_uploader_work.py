@@ -524,6 +524,15 @@ def test_a_run_folder_whose_name_is_no_text_is_told_and_the_others_go_on(bench: 
     assert "bean-" in sentence.encode().decode()
 
 
+def test_the_present_run_folder_is_counted_once_where_its_name_is_no_text(bench: Bench) -> None:
+    present = Path(os.fsdecode(os.fsencode(bench.run.parent) + b"/bean-\xff"))
+    bench.run.rename(present)
+    bench.run = present
+    bench.restart()
+    bench.work()
+    assert "1 files or run folders have names that are not UTF-8" in bench.uploader.conditions.sentence()
+
+
 def test_the_spools_disk_is_watched(bench: Bench) -> None:
     bench.work()
     assert bench.uploader.conditions.sentence() == ""
