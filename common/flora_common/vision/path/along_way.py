@@ -182,8 +182,7 @@ def unsure(way: Way, stem: Stem, before: Before | None, px_per_cm: float) -> str
         return doubts.BEGINS_ASIDE
     if before is not None:
         return ""
-    unseen_cm = doubts.longest_unseen_px(stem) / px_per_cm
-    return doubts.unseen(unseen_cm) if unseen_cm > doubts.LONGEST_UNSEEN_CM else ""
+    return doubts.hidden(stem, px_per_cm)
 
 
 def goes_aside(way: Way, px_per_cm: float, known_px: FloatArray | None = None) -> bool:

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 
 from flora_common.arrays import ByteArray, Float32Array, FloatArray
-from flora_common.geometry import arc_length, heading_at_end
+from flora_common.geometry import arc_length, heading_at_end, unit
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import COARSE
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.looks import has_neck, leaf_from
-from flora_common.vision.path.sampler import Sampler
+from flora_common.vision.path.sampler import Sampler, places_along
 from flora_common.vision.path.strands import Strands
 
 LEAST_COVER: Final = 0.75
@@ -68,6 +68,9 @@ ERROR_OF_MEDIAN, ERRORS = 1.858, 4.0
 how many of them it must be off by, for noise in the dark has several code units."""
 LONGEST_UNSEEN_CM: Final = 2.4
 """In a picture by itself: over a longer gap what goes on may be another plant's stem, and what hides it its leaf."""
+LONGEST_IN_LINE_CM, IN_LINE_RAD, IN_LINE_CM = 5.0, 0.3, 1.0
+"""The same where the stem leads into the gap and out of it as it would straight through, by the second angle at most,
+both told over the third: a leaf hangs before it."""
 
 
 def doubt(stem: Stem, sampler: Sampler, px_per_cm: float, *, touching_cm: float, above_cm: float) -> str:
@@ -193,6 +196,27 @@ def _about_end(
     x, y = np.unique(places, axis=0).T
     inside = (x >= 0) & (x < flat.shape[1]) & (y >= 0) & (y < flat.shape[0])
     return np.asarray(flat[y[inside], x[inside]], dtype=np.float32)
+
+
+def hidden(stem: Stem, px_per_cm: float) -> str:
+    """Why what is seen beyond a leaf may be another plant's, one clause; empty where nothing says so."""
+    s = arc_length(stem.line)
+    known = np.concatenate([[0.0], s[stem.seen], s[-1:]])
+    at = int(np.argmax(np.diff(known)))
+    gap_cm = float(known[at + 1] - known[at]) / px_per_cm
+    longest_cm = LONGEST_IN_LINE_CM if _goes_through(stem.line, s, known[at], known[at + 1], px_per_cm) else 0.0
+    return unseen(gap_cm) if gap_cm > max(LONGEST_UNSEEN_CM, longest_cm) else ""
+
+
+def _goes_through(line: FloatArray, s: FloatArray, begins: float, ends: float, px_per_cm: float) -> bool:
+    """Whether a line leads straight from one place along it to another: as it comes to the first, and leaves the
+    second."""
+    reach = IN_LINE_CM * px_per_cm
+    if begins < reach or s[-1] - ends < reach:
+        return False
+    places = places_along(line, s, np.array([begins - reach, begins, ends, ends + reach]))
+    below, through, above = (unit(step) for step in np.diff(places, axis=0))
+    return bool(min(below @ through, through @ above) > math.cos(IN_LINE_RAD))
 
 
 def unseen(gap_cm: float) -> str:
