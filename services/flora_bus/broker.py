@@ -34,6 +34,8 @@ MAX_KEPT_BYTES: Final = 4 << 20
 
 MAX_TIME_BYTES: Final = 64
 """Of the frames after the payload, all together: queues are bounded in messages, so that messages must be bounded."""
+HANDSHAKE_WITHIN_MS: Final = 10_000
+"""Real time after which whoever came over TCP and does not say who it is is hung up on."""
 SUBSCRIBE: Final = b"\x01"
 
 
@@ -90,15 +92,16 @@ class Broker:
 
     Args:
         address: endpoints to bind: services publish to the first and subscribe at the second.
-        network: further ones, for other machines.
-        guard: asks for keys at all that are over TCP; None lets everyone in.
+        guard: asks for keys where they are over TCP; None lets everyone in.
+
+    Raises:
+        zmq.ZMQError: an endpoint is taken, or none.
     """
 
     def __init__(
         self,
         address: BusAddress,
         *,
-        network: BusAddress | None = None,
         guard: Guard | None = None,
         context: zmq.Context[Any] | None = None,
     ) -> None:
@@ -111,14 +114,34 @@ class Broker:
             bound(socket, linger_ms=0)
         # Repeated subscriptions are told as well: each late joiner gets its last values.
         self.outgoing.setsockopt(zmq.XPUB_VERBOSE, 1)
-        addresses = [address] if network is None else [address, network]
+        self._network: list[tuple[zmq.Socket[bytes], bytes]] = []
         try:
-            _bind(self.incoming, [each.publish for each in addresses], guard)
-            _bind(self.outgoing, [each.subscribe for each in addresses], guard)
+            _bind(self.incoming, address.publish, guard)
+            _bind(self.outgoing, address.subscribe, guard)
         except zmq.ZMQError:
             self.close()
             raise
         self.incoming.send(SUBSCRIBE)
+
+    def open_network(self, address: BusAddress, guard: Guard | None) -> None:
+        """Bind to further endpoints, for other machines: both, or none.
+
+        Raises:
+            zmq.ZMQError: one is taken, or is no address of this machine.
+        """
+        try:
+            for socket, endpoint in ((self.incoming, address.publish), (self.outgoing, address.subscribe)):
+                _bind(socket, endpoint, guard)
+                self._network.append((socket, bytes(socket.getsockopt(zmq.LAST_ENDPOINT)).rstrip(b"\0")))
+        except zmq.ZMQError:
+            self.shut_network()
+            raise
+
+    def shut_network(self) -> None:
+        """Give those endpoints up; libzmq hangs up on all who came by them."""
+        while self._network:
+            socket, endpoint = self._network.pop()
+            socket.unbind(endpoint.decode())
 
     def pass_on(self) -> None:
         """Move a batch of published messages; call when ``incoming`` is readable."""
@@ -156,21 +179,21 @@ class Broker:
         self.outgoing.close()
 
 
-def _bind(socket: zmq.Socket[bytes], endpoints: list[str], guard: Guard | None) -> None:
-    """Those within this machine first: what a socket is told of keys holds for what it binds to afterwards.
+def _bind(socket: zmq.Socket[bytes], endpoint: str, guard: Guard | None) -> None:
+    """What a socket is told of keys holds for what it binds to afterwards: endpoints within the machine come first.
 
     Raises:
-        zmq.ZMQError: an endpoint is taken, or none.
+        zmq.ZMQError: the endpoint is taken, or is none.
     """
-    for endpoint in sorted(endpoints, key=is_tcp):
-        if is_tcp(endpoint):
-            socket.setsockopt(zmq.IPV6, int("[" in endpoint))
-            if guard is not None:
-                guard.protect(socket)
-        try:
-            socket.bind(endpoint)
-        except zmq.ZMQError as problem:
-            raise zmq.ZMQError(problem.errno, f"{endpoint}: {zmq.strerror(problem.errno or 0)}") from problem
+    if is_tcp(endpoint):
+        socket.setsockopt(zmq.IPV6, int("[" in endpoint))
+        socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_WITHIN_MS)
+        if guard is not None:
+            guard.protect(socket)
+    try:
+        socket.bind(endpoint)
+    except zmq.ZMQError as problem:
+        raise zmq.ZMQError(problem.errno, f"{endpoint}: {zmq.strerror(problem.errno or 0)}") from problem
 
 
 def well_formed(parts: list[bytes]) -> bool:

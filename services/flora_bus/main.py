@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ import zmq
 
 from flora_bus.broker import Broker, BrokerCounters
 from flora_bus.guard import Guard
+from flora_bus.network import LOOK_EVERY_S, Network, allow_descriptors
 from flora_common.app import App
 from flora_common.bus import BusAddress
 from flora_common.bus_keys import (
@@ -117,11 +119,9 @@ def build(app: App[BusSection]) -> None:
     hold_socket(rig.bus_subscribe)
     guard = guard_of(rig, network)
     try:
-        broker = Broker(rig.bus, network=network, guard=guard)
+        broker = Broker(rig.bus, guard=guard)
     except zmq.ZMQError as problem:
         raise BusUnreachable(f"cannot listen at {problem.strerror}") from problem
-    if network is not None:
-        app.log.event("network", publish=network.publish, subscribe=network.subscribe, asks_for_keys=guard is not None)
     if guard is not None:
         _set_up(app, guard)
     seen = BrokerCounters()
@@ -147,6 +147,22 @@ def build(app: App[BusSection]) -> None:
     app.on_readable(broker.outgoing, broker.serve_subscriptions)
     app.on_exit(broker.close)
     app.every(5.0, report)
+    if network is not None:
+        _open(app, Network(broker, network, guard), network, guard)
+
+
+def _open(app: App[BusSection], door: Network, network: BusAddress, guard: Guard | None) -> None:
+    def look() -> None:
+        was_open = door.is_open
+        door.look(time.monotonic())
+        if door.is_open and not was_open:
+            asks = guard is not None
+            app.log.event("network", publish=network.publish, subscribe=network.subscribe, asks_for_keys=asks)
+        app.trouble("network", door.problem)
+
+    allow_descriptors()
+    look()
+    app.every(LOOK_EVERY_S, look)
 
 
 def _set_up(app: App[BusSection], guard: Guard) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import signal
 import socket
 import time
@@ -31,6 +32,10 @@ def net(bus: Any) -> NetworkBus:
 
 def ticks(heard: list[Any]) -> list[int]:
     return [a.message.tick for a in heard if isinstance(a.message, Tick)]
+
+
+def healths(heard: list[Any]) -> list[Health]:
+    return [a.message for a in heard if isinstance(a.message, Health)]
 
 
 def until_refused(client: BusClient, *told: str, within_s: float = 20.0) -> None:
@@ -399,3 +404,55 @@ def test_keys_are_made_where_the_configuration_looks_for_them(bus: Any) -> None:
     _, err = nowhere.communicate(timeout=20)
     assert nowhere.returncode == 2
     assert "[rig] bus_keys is not set" in err
+
+
+def test_an_address_that_is_not_this_machines_yet_does_not_hold_up_the_rigs_own_bus(net: NetworkBus) -> None:
+    net.bus.sections["bus"]["network_subscribe"] = f"tcp://192.0.2.7:{net.ports[1]}"
+    process = net.start()
+    near = net.bus.client()
+    told = net.bus.hear(near, lambda heard: any("192.0.2.7" in h.reason for h in healths(heard)))
+    assert {h.state for h in healths(told)} <= {"starting", "degraded"}
+    assert process.poll() is None
+    socket.create_server(("127.0.0.1", net.ports[0])).close()  # both or none: the other end is not listened at either
+
+
+def test_the_network_is_opened_as_soon_as_it_can_be(net: NetworkBus) -> None:
+    taken = socket.create_server(("127.0.0.1", net.ports[0]))
+    net.start()
+    near, far = net.bus.client(), net.client(net.keys_of("lab"))
+    net.bus.hear(near, lambda heard: any("cannot listen" in h.reason for h in healths(heard)))
+    taken.close()
+    net.bus.hear(far, lambda _: far.connected)
+    net.bus.hear(near, lambda heard: any(h.state == "ready" for h in healths(heard)))
+
+
+def test_strangers_who_open_connections_by_the_hundred_cannot_end_the_rigs_own_bus(net: NetworkBus) -> None:
+    process = net.start()
+    near = net.bus.client("flora-flash")
+    net.bus.hear(near, lambda _: near.connected)
+    resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (200, 200))
+    idle = []
+    for number in range(300):
+        idle.append(socket.socket())
+        idle[-1].setblocking(False)
+        idle[-1].connect_ex(("127.0.0.1", net.ports[number % 2]))
+        time.sleep(0.02)
+    net.bus.hear(near, lambda heard: any("too many connections" in h.reason for h in healths(heard)))
+    late = net.bus.client("flora-led")
+    net.bus.hear(late, lambda _: late.connected)
+    for each in idle:
+        each.close()
+    far = net.client(net.keys_of("lab"))
+    net.bus.hear(far, lambda _: far.connected)
+    assert process.poll() is None
+
+
+def test_who_does_not_say_who_it_is_is_hung_up_on(net: NetworkBus) -> None:
+    net.start()
+    near = net.bus.client()
+    net.bus.hear(near, lambda _: near.connected)
+    with socket.create_connection(("127.0.0.1", net.ports[0]), timeout=20.0) as silent:
+        began_s = time.monotonic()
+        while silent.recv(1000):
+            pass
+        assert time.monotonic() - began_s < 15.0
