@@ -15,7 +15,8 @@ import msgspec
 from flora_common.bus import BusAddress
 from flora_common.bus_keys import ClientKeys, check_reach, client_keys, is_loopback, is_tcp
 from flora_common.errors import BadInput, ConfigError
-from flora_common.messages.envelope import Name, RigName
+from flora_common.messages.envelope import Name
+from flora_common.rig_name import RigName
 from flora_common.suggest import did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml
 

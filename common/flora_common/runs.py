@@ -22,7 +22,7 @@ import msgspec
 
 from flora_common import files
 from flora_common.errors import BadRunFolder
-from flora_common.messages.envelope import RigName
+from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
 from flora_common.toml_strict import convert, read_toml, to_toml, without_unknown

@@ -10,8 +10,7 @@ import msgspec
 
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
-
-RigName = Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$(?!\n)")]
+from flora_common.rig_name import RigName
 
 
 class RunsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
