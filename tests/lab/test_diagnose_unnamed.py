@@ -28,6 +28,7 @@ HOURS = 48.0
 HIDDEN: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
     "by day": {"gain": lambda hour: 0.7 * np.cos(2.0 * np.pi * (hour - 7.0) / 24.0)},
     "late": {"growth": lambda hour: -0.6 * (hour > 24.0)},
+    "a spell": {"growth": lambda hour: -0.8 * ((hour > 17.0) & (hour < 31.0))},
 }
 
 
@@ -61,7 +62,16 @@ def test_the_hour_from_which_on_plants_grow_slower_is_told() -> None:
     assert found.size[0] == pytest.approx(-0.6, abs=0.3)
 
 
-@pytest.mark.parametrize("which", ["by day", pytest.param("late", marks=pytest.mark.slow)])
+def test_a_spell_that_comes_but_once_is_no_rhythm_of_the_day() -> None:
+    """A pot that dries out and is watered: told as a rhythm, growth would seem to rest every day."""
+    explanation = explained("a spell")
+    found = explanation.unnamed
+    assert found is not None
+    assert (found.drive, found.course) == ("growth", course_of("from 18 to 30 h after the start"))
+    assert found.size[0] == pytest.approx(-0.8, abs=0.3)
+
+
+@pytest.mark.parametrize("which", ["by day", "a spell", pytest.param("late", marks=pytest.mark.slow)])
 def test_no_name_is_given_with_confidence_to_what_has_none(which: str) -> None:
     explanation = explained(which)
     left = left_of(explanation, known())

@@ -26,6 +26,7 @@ _HEIGHT_CM: Final = 8.0
 _HISTORY_H: Final = 6.0
 _AFTER_SWITCH_H: Final = 2.0
 _EVERY_H: Final = 6.0
+_SPELL_H: Final = 12.0
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
 
@@ -101,6 +102,18 @@ def _after(hour_h: float) -> Callable[[Moments], Array]:
     return _column(lambda at: (at.time_h > hour_h).astype(np.float64))
 
 
+def _spell(from_h: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: _is_in_spell(at, from_h))
+
+
+def _spell_of_lamp(side: float, from_h: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: np.where(at.side == side, _is_in_spell(at, from_h), 0.0))
+
+
+def _is_in_spell(at: Moments, from_h: float) -> Array:
+    return ((at.time_h > from_h) & (at.time_h <= from_h + _SPELL_H)).astype(np.float64)
+
+
 def _shadow(side: float, from_h: float) -> Callable[[Moments], Array]:
     def course(at: Moments) -> Array:
         return np.asarray((at.side == side) & ((at.time_h - from_h) % DAY_H < _SHADOW_H), dtype=np.float64)
@@ -147,6 +160,23 @@ COURSES: Final = (
     *(
         Course(f"from {hour_h:.0f} h after the start on", ("gain", "growth", "bias"), _after(hour_h))
         for hour_h in np.arange(_EVERY_H, 72.0, _EVERY_H)
+    ),
+    *(
+        Course(
+            f"from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
+            ("gain", "growth", "bias"),
+            _spell(hour_h),
+        )
+        for hour_h in np.arange(_EVERY_H, 72.0 - _SPELL_H, _EVERY_H)
+    ),
+    *(
+        Course(
+            f"while the {name} lamp shines, from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
+            ("gain",),
+            _spell_of_lamp(side, hour_h),
+        )
+        for name, side in (("left", -1.0), ("right", 1.0))
+        for hour_h in np.arange(_EVERY_H, 72.0 - _SPELL_H, _EVERY_H)
     ),
     *(
         Course(

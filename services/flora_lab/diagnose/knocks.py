@@ -91,7 +91,7 @@ def _plainest(run: MeasuredRun) -> Knock | None:
     usual_rad = _MAD_SD * float(np.median(np.abs(turn_rad)))
     is_plain = is_dense & (np.abs(turn_rad) > max(math.radians(_LEAST_DEG), _MADS * usual_rad))
     is_plain &= left < _NOT_RIGID**2 * went
-    # Beside a moment at which a stem bends at once, lines that lead across it may turn the stem that is there as a whole.
+    # Beside a moment at which a stem bends at once, lines that lead across it may turn the stem there as a whole.
     is_plain &= np.abs(turn_rad) == maximum_filter1d(np.abs(turn_rad), 2 * _ROWS + 1)
     if not is_plain.any():
         return None

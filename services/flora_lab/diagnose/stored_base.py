@@ -49,8 +49,9 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "push_scatter": (len(TRIED),),
     "cross_fit": (None,),
 }
-_NAMES: Final[Mapping[str, list[str]]] = {
+_NAMES: Final[Mapping[str, list[str] | list[int]]] = {
     "causes": list(usual_errors.causes()),
+    "kinds": list(usual_errors.columns()),
     "pushes": [f"{drive} {course.where}" for drive, course in TRIED],
 }
 """What rows and columns of these stand for."""

@@ -18,10 +18,15 @@ def pushing(change: Change, v: Values) -> None:
     change.terms[terms.SIDEWAYS] += v["drive_per_cm_h"]
 
 
+def blowing(change: Change, v: Values) -> None:
+    """Wind bends the stem elastically, the more of it there is; what it stands in then is no growth."""
+    change.terms[terms.WIND] += 0.03 * v["drive_per_cm_h"]
+
+
 def sentence(v: Values) -> str:
     """What it means."""
     side, size = "right" if v["drive_per_cm_h"] > 0 else "left", abs(v["drive_per_cm_h"])
-    return f"something pushes the stem to the {side} all the time, {size:.3f} per cm and hour"
+    return f"something pushes the stem to the {side} all the time (strength {size:.3f})"
 
 
 EFFECT: Final = Effect(
@@ -35,7 +40,8 @@ EFFECT: Final = Effect(
             low=-0.3,
             high=0.3,
             scale="linear",
-            meaning="curvature per hour of a steady push to the right",
+            meaning="curvature per hour of a steady push to the right; of wind that bends the stem elastically, "
+            "0.03 per cm^3 of softness at the tip",
             source="a fan, a window, a leaning pot",
             starts=(-0.1, 0.1),
             least=0.003,
@@ -44,6 +50,7 @@ EFFECT: Final = Effect(
     forms=(
         turning,
         pushing,
+        blowing,
     ),
     sentence=sentence,
     first_needs=2.5,

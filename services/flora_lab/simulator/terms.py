@@ -15,7 +15,7 @@ step:
   does not care, 1 where both are one activity, as in Bastien et al. 2015;
 - the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness at the tip, which falls e-fold within
   ``SOFTNESS_CM``, bends it elastically, with ``SETTLING_H`` as time constant, and the stem feels that bend as any
-  other;
+  other; a ``WIND`` to the right, in the same unit, does the same, pushing as hard on each cm as weight pulls;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
   ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
@@ -41,11 +41,11 @@ from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_ste
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
 BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE, EVEN_LIGHT = range(11, 19)
-SOFTNESS_CM, SETTLING_H = range(19, 21)
+SOFTNESS_CM, SETTLING_H, WIND = range(19, 22)
 """Columns of the terms."""
-TERMS: Final = 21
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 7), sag.SOFTNESS_CM, sag.SETTLING_H])
-"""Values at which nothing is changed, shape (21,)."""
+TERMS: Final = 22
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 8), sag.SOFTNESS_CM, sag.SETTLING_H, 0.0])
+"""Values at which nothing is changed, shape (22,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -141,7 +141,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (21,).
+        t: the terms, shape (22,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
@@ -153,8 +153,9 @@ def extended_step_lane(
     activity = 1.0 if t[ACTIVITY] == 0.0 else float(factor ** t[ACTIVITY])
     memory[_CLOCK, 0] = time_h + dt_h
     elastic = scratch(np.float64, CAPACITY)
-    if t[SAG] != 0.0:
-        sag.recall(length, angle, n, t[SAG], t[SOFTNESS_CM], memory[_BENT:], elastic)
+    is_loaded = t[SAG] != 0.0 or t[WIND] != 0.0
+    if is_loaded:
+        sag.recall(length, angle, n, t[SAG], t[WIND], t[SOFTNESS_CM], memory[_BENT:], elastic)
     driven_step_lane(
         length,
         angle,
@@ -174,9 +175,9 @@ def extended_step_lane(
         Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE], t[SIDE_ALONE], t[EVEN_LIGHT]),
         dt_h,
     )
-    if t[SAG] == 0.0:
+    if not is_loaded:
         return int(split(length, angle, n))
-    sag.settle(length, angle, n, t[SAG], t[SOFTNESS_CM], t[SETTLING_H], dt_h, elastic)
+    sag.settle(length, angle, n, t[SAG], t[WIND], t[SOFTNESS_CM], t[SETTLING_H], dt_h, elastic)
     return int(sag.split_and_remember(length, angle, n, elastic, memory[_BENT:]))
 
 
@@ -290,7 +291,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (21,).
+        terms: shape (22,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -347,7 +348,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 21).
+            terms: shape (batch, 22).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """
