@@ -107,6 +107,7 @@ class StemCore:
             folded=reading.folded,
             uncertainty_mm=() if reading.uncertainty_mm is None else _millimetres(reading.uncertainty_mm),
             frame_sha256=frame.sha256,
+            run=frame.run,
             took_ms=max(0.0, self._now_ms() - began_ms),
             reason=as_sentence("; ".join(note for note in notes if note)),
         )

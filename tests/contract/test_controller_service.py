@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
@@ -86,6 +87,18 @@ def test_killed_in_the_middle_it_goes_on_where_it_was(bus: PrivateBus) -> None:
     assert again.session != before.session
     assert (told_again.decisions, told_again.switches) == (3, 1)
     assert (after.light, told_after.decisions, told_after.collided_at_s) == ("left", 4, 600.0)
+
+
+def test_a_stem_that_the_bus_kept_of_another_run_says_nothing_of_this_ones_plant(bus: PrivateBus) -> None:
+    make_run(bus)
+    bus.sections["controller"] = {"use": "tip-follower"}
+    client = start(bus)
+    client.publish(msgspec.structs.replace(stem(900, -6.3, 22.0), run="bean-00"))  # over, by the stop height
+    client.publish(msgspec.structs.replace(stem(901, 0.0, 5.0), run=bus.run_dir.name))
+    _, said = answer(bus, client, 901)
+
+    assert (said.decisions, said.run_over, said.collided) == (1, False, False)
+    assert said.best_fitness == said.fitness
 
 
 def test_a_new_controller_file_takes_over_and_a_bad_one_does_not(bus: PrivateBus, tmp_path: Path) -> None:

@@ -116,6 +116,7 @@ def test_nan_and_infinity_stop_at_the_door_in_every_number(spec: TopicSpec) -> N
         ("frame", "run", "bean\n"),
         ("frame", "run", "../bean"),
         ("stem", "frame_sha256", "\n"),
+        ("stem", "run", "../bean"),
         ("setup", "shot", "left.jpg\n"),
         ("setup", "shot", "../left.jpg"),
         ("tick", "source", "flora flash"),

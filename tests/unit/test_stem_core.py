@@ -145,6 +145,7 @@ def test_a_stem_is_found_said_and_written(box: Box) -> None:
     stem = box.answer(box.frame(1, jpeg(with_stem(3.0, 12.0))))
 
     assert (stem.tick, stem.time_s, stem.outcome, stem.light) == (1, 300.0, "ok", "left")
+    assert stem.run == "run"
     assert len(stem.points_cm) == 10
     assert stem.points_cm[0] == (0.0, 0.0)
     assert stem.points_cm[9] == pytest.approx((3.0, 12.0), abs=0.7)

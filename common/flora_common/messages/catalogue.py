@@ -18,6 +18,7 @@ from flora_common.messages.envelope import (
     MillimetresSd,
     Milliseconds,
     Name,
+    OptionalName,
     OptionalSha256,
     Point,
     RelativePath,
@@ -111,7 +112,7 @@ class FrameMissed(Message, kw_only=True, frozen=True):
     shot: Annotated[str, Meta(max_length=64)] = ""
 
 
-@message("stem", owner="flora-stem", period="tick", version=2)
+@message("stem", owner="flora-stem", period="tick", version=3)
 class Stem(Message, kw_only=True, frozen=True):
     """Ten points along the stem, anchor first, tip last; none where no stem was found."""
 
@@ -130,6 +131,7 @@ class Stem(Message, kw_only=True, frozen=True):
         Meta(max_length=STEM_POINTS, description="standard deviation of each point; ten or none"),
     ] = ()
     frame_sha256: OptionalSha256 = ""
+    run: Annotated[OptionalName, Meta(description="name of the run folder; empty where it is not told")] = ""
     took_ms: Milliseconds = 0.0
     reason: Sentence = ""
 

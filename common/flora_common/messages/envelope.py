@@ -33,6 +33,7 @@ Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 # `$` alone lets a line feed through at the end in Python; `$(?!\n)` does not, and means the same in JSON Schema.
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$(?!\n)", max_length=64)]
+OptionalName = Annotated[str, msgspec.Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9._-]*)?$(?!\n)", max_length=64)]
 Sentence = Annotated[str, msgspec.Meta(max_length=LONGEST_SENTENCE)]
 RelativePath = Annotated[str, msgspec.Meta(max_length=255, pattern=r"^(?!/)(?!.*\.\.)[^\x00-\x1f\x7f]+$(?!\n)")]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", max_length=64)]
