@@ -83,11 +83,11 @@ def build(app: App[ControllerSection]) -> None:
         follow()  # the last start ended between the last tick of a shadow and what follows from it
     tell_troubles()
 
-    run_name = app.run.path.resolve().name
+    own = {"", app.run.path.name, app.run.path.resolve().name}  # a rig's run folder may be a link to this plant's
 
     def on_stem(stem: Stem) -> None:
         # The bus keeps the last one of the run before; its plant says nothing of this run's.
-        if stem.run not in ("", run_name):
+        if stem.run not in own:
             app.log.event("stem_of_another_run", run=stem.run, tick=stem.tick)
             return
         if succession.poll():
