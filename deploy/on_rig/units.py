@@ -18,6 +18,7 @@ OF_THE_MACHINE = {
     "sysusers.d/flora.conf": Path("/etc/sysusers.d/flora.conf"),
     "tmpfiles.d/flora.conf": Path("/etc/tmpfiles.d/flora.conf"),
     "journald.conf.d/99-flora.conf": Path("/etc/systemd/journald.conf.d/99-flora.conf"),
+    "system.conf.d/50-flora.conf": Path("/etc/systemd/system.conf.d/50-flora.conf"),
 }
 """What stays as the newest installation left it; an older release does as well with it."""
 SINCE = "since-"
@@ -25,7 +26,7 @@ SINCE = "since-"
 
 
 def install_machine_files(release: str) -> None:
-    """User, groups, folders and journal, before any unit needs them."""
+    """User, groups, folders and journal, before any unit needs them; the machine's watchdog, from its next start on."""
     changed = set()
     for name, path in OF_THE_MACHINE.items():
         if write_if_other(path, (RELEASES / release / SHARE / "systemd" / name).read_bytes()):

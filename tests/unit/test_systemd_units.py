@@ -281,6 +281,11 @@ def test_the_journal_outlives_a_power_cut_and_stays_small() -> None:
     assert re.fullmatch(r"\d{2,3}M", journal["SystemMaxUse"])
 
 
+def test_a_machine_that_hangs_is_started_anew_within_what_a_pi_can_count() -> None:
+    manager = dict(lines_of(UNITS / "system.conf.d/50-flora.conf"))
+    assert manager == {"RuntimeWatchdogSec": "15s"}
+
+
 # systemd's own opinion
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
