@@ -18,7 +18,7 @@ from flora_common.errors import StoreError
 from flora_common.files import write_bytes
 from flora_common.messages.envelope import as_sentence
 from flora_uploader.target import Target
-from flora_uploader.transfer import temporary_path
+from flora_uploader.transfer import take_away, temporary_path
 
 MARK: Final = ".flora-owner"
 LONGEST: Final = 4096
@@ -129,10 +129,7 @@ class Owners:
                 writer.close()
             target.rename(temporary, path)
         except StoreError as problem:
-            try:
-                target.remove(temporary)
-            except StoreError as second:
-                problem.add_note(f"and its temporary file could not be removed: {second}")
+            take_away(target, temporary, problem)
             raise
 
 

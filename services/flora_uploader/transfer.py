@@ -106,6 +106,14 @@ def _temporary_end(temporary_id: str) -> str:
     return f".{temporary_id}.part"
 
 
+def take_away(target: Target, temporary: str, problem: StoreError) -> None:
+    """Remove a temporary file that a problem left behind; where that fails, too, the problem is told so."""
+    try:
+        target.remove(temporary)
+    except StoreError as second:
+        problem.add_note(f"and its temporary file could not be removed: {second}")
+
+
 def transfer(order: Order, target: Target) -> Steps:
     """Bring one file to the target, which is connected, and prove that it is there.
 
@@ -141,10 +149,7 @@ def transfer(order: Order, target: Target) -> Steps:
                 target.remove(temporary)
             raise
         except StoreError as problem:
-            try:
-                target.remove(temporary)
-            except StoreError as second:
-                problem.add_note(f"and its temporary file could not be removed: {second}")
+            take_away(target, temporary, problem)
             raise
         yield
         final = yield from _hash_there(target, order.destination)
