@@ -136,7 +136,7 @@ class RunFolder:
 
         Args:
             unknown: is told in a sentence of keys that nobody here knows, as in runs that others made; they are not
-                looked at then. Without it they are refused, for a rig must not take a slip of the pen for a default.
+                looked at then. Without it they are refused, and those that are but slips of the pen always.
 
         Raises:
             BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.

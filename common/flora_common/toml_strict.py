@@ -16,7 +16,7 @@ import msgspec
 import tomli_w
 
 from flora_common.errors import BadInput
-from flora_common.suggest import clipped, did_you_mean
+from flora_common.suggest import clipped, did_you_mean, is_slip
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -166,15 +166,18 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def without_unknown(data: dict[str, Any], into: type[msgspec.Struct]) -> tuple[dict[str, Any], list[str]]:
-    """A parsed table without the keys that a struct type does not name, and which these are, dotted."""
+    """A parsed table without the keys that a struct type does not name, and which these are, dotted.
+
+    What is all but the name of a known one stays, for :func:`convert` to refuse it.
+    """
     structs = _structs_of(into)
     known: dict[str, Any] = {}
     unknown: list[str] = []
     for key, value in data.items():
-        if key not in structs:
+        if key not in structs and not is_slip(key, structs):
             unknown.append(clipped(key))
             continue
-        inner = structs[key]
+        inner = structs.get(key)
         known[key] = value
         if inner is not None and isinstance(value, dict):
             known[key], below = without_unknown(value, inner)

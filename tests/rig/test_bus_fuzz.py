@@ -234,21 +234,23 @@ def test_nonsense_ends_no_service_and_is_counted(bus: Any) -> None:
         bus.start_service(service, env={"BLINKA_OS_AGNOSTIC": "1"})
     tap.until(lambda: set(SERVICES) | {"flora-bus"} <= set(tap.health), "health of all")
 
-    # Quiet: what services have taken notice of does not change over two of their health messages.
+    # Quiet: what services have taken notice of does not change over six of their health messages: under load what
+    # another one has passed on is still on its way to them.
     quiet: dict[str, tuple[int, int]] = {}
     for service, kinds in SERVICES.items():
         if kinds == ("",):
             continue
-        last = -1
+        last = taken(tap.health[service])
+        since = tap.health[service].seq
 
         def is_quiet(service: str = service) -> bool:
-            nonlocal last
-            now = taken(tap.health[service])
-            same, last = now == last, now
-            return same
+            nonlocal last, since
+            health = tap.health[service]
+            if taken(health) != last:
+                last, since = taken(health), health.seq
+            return health.seq >= since + 6
 
-        seq = tap.health[service].seq
-        tap.until(lambda service=service, seq=seq: tap.health[service].seq > seq and is_quiet(), f"quiet {service}")
+        tap.until(is_quiet, f"quiet {service}")
         quiet[service] = (taken(tap.health[service]), tap.passed_on[service])
     before = dict(tap.health)
 

@@ -68,7 +68,7 @@ def test_a_task_that_cannot_be_steered_to_is_told_before_the_run_before_is_remov
     photograph = finished(tmp_path, EXPERIMENT)
     assert main(["experiment", "-o", str(tmp_path), "--target", "0,0"]) == 2
     said = capsys.readouterr().err
-    assert said == "flora-twin: the target lies on the anchor (0, 0); give it a place to grow to\n"
+    assert said == "flora-twin: --target and --obstacle: the target lies on the anchor; there is nowhere to grow to\n"
     assert photograph.exists()
 
 

@@ -84,7 +84,7 @@ def test_other_readers_find_schema_channel_and_index(tmp_path: Path) -> None:
             assert schema.encoding == "jsonschema"
             assert "$defs" in msgspec.json.decode(schema.data)
             assert channel.message_encoding == "msgpack"
-        assert channels["box1/stem"].metadata == {"owner": "flora-stem", "version": "2"}
+        assert channels["box1/stem"].metadata == {"owner": "flora-stem", "version": "3"}
         messages = list(reader.iter_messages(topics=["box1/stem"]))
     assert len(messages) == 1
     assert msgspec.msgpack.decode(messages[0][2].data)["outcome"] == "ok"

@@ -107,15 +107,22 @@ def test_keys_that_nobody_here_knows_are_told_and_not_looked_at_where_others_mad
     told: list[str] = []
     run = RunFolder(tmp_path)
     run.run_toml.write_text(
-        "seconds_between_frames = 1800\n[camera]\nanchor_px = [1, 2]\npx_per_cm = 3\n[lamps]\nleft = { x_cm = -43.0 }\n"
+        "seconds_between_frames = 1800\n[camera]\nanchor_px = [1, 2]\npx_per_cm = 3\n[lamps]\nleft = { x_cm = -43.0 }\nright_cm = 4\n"
     )
     assert run.read_run_file(told.append) == RunFile(CameraSection((1.0, 2.0), 3.0))
     (line,) = told
-    assert line == f"{run.run_toml}: `seconds_between_frames`, `lamps.left` are unknown, and not looked at"
+    assert (
+        line
+        == f"{run.run_toml}: `seconds_between_frames`, `lamps.left`, `lamps.right_cm` are unknown, and not looked at"
+    )
     run.run_toml.write_text("[camera]\nanchor_px = [1, 2]\npx_per_cm = -3\nlens = 1\n")
     with pytest.raises(BadRunFolder, match=r"`camera\.px_per_cm` expected"):
         run.read_run_file(told.append)
     assert told[1:] == [f"{run.run_toml}: `camera.lens` is unknown, and not looked at"]
+    for slip in ("interval = 300", "[camera]\nanchor_px = [1, 2]\npx_per_cmm = 3", "[lamps]\ndistancecm = 9"):
+        run.run_toml.write_text(f"{slip}\n")
+        with pytest.raises(BadRunFolder, match=r"unknown key .* did you mean"):
+            run.read_run_file(told.append)
 
 
 def test_no_folder(tmp_path: Path) -> None:
