@@ -107,7 +107,8 @@ def test_keys_that_nobody_here_knows_are_told_and_not_looked_at_where_others_mad
     told: list[str] = []
     run = RunFolder(tmp_path)
     run.run_toml.write_text(
-        "seconds_between_frames = 1800\n[camera]\nanchor_px = [1, 2]\npx_per_cm = 3\n[lamps]\nleft = { x_cm = -43.0 }\nright_cm = 4\n"
+        "seconds_between_frames = 1800\n[camera]\nanchor_px = [1, 2]\npx_per_cm = 3\n"
+        "[lamps]\nleft = { x_cm = -43.0 }\nright_cm = 4\n"
     )
     assert run.read_run_file(told.append) == RunFile(CameraSection((1.0, 2.0), 3.0))
     (line,) = told
