@@ -199,7 +199,8 @@ def _about_end(
 
 
 def hidden(stem: Stem, px_per_cm: float) -> str:
-    """Why what is seen beyond a leaf may be another plant's, one clause; empty where nothing says so."""
+    """Why what goes on beyond the longest part of a stem that shows neither edges nor a ridge may be another plant's, one
+    clause; empty where nothing says so."""
     s = arc_length(stem.line)
     known = np.concatenate([[0.0], s[stem.seen], s[-1:]])
     at = int(np.argmax(np.diff(known)))
@@ -222,12 +223,6 @@ def _goes_through(line: FloatArray, s: FloatArray, begins: float, ends: float, p
 def unseen(gap_cm: float) -> str:
     """Why what follows a gap may be another plant's, one clause."""
     return f"nothing is seen of it over {gap_cm:.1f} cm; what goes on may be another plant"
-
-
-def longest_unseen_px(stem: Stem) -> float:
-    """The longest part of a stem that shows neither edges nor a ridge."""
-    s = arc_length(stem.line)
-    return float(np.diff(np.concatenate([[0.0], s[stem.seen], s[-1:]])).max())
 
 
 def longest_gap_px(chain: Chain) -> float:
