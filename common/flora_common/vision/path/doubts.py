@@ -199,8 +199,10 @@ def _about_end(
 
 
 def hidden(stem: Stem, px_per_cm: float) -> str:
-    """Why what goes on beyond the longest part of a stem that shows neither edges nor a ridge may be another plant's, one
-    clause; empty where nothing says so."""
+    """Why what goes on beyond the longest part of a stem that shows neither edges nor a ridge may be another plant's.
+
+    One clause; empty where nothing says so.
+    """
     s = arc_length(stem.line)
     known = np.concatenate([[0.0], s[stem.seen], s[-1:]])
     at = int(np.argmax(np.diff(known)))
