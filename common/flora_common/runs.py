@@ -25,7 +25,7 @@ from flora_common.errors import BadRunFolder
 from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
-from flora_common.toml_strict import convert, read_toml, to_toml, without_unknown
+from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
 LIGHTS: Final[tuple[Light, ...]] = ("left", "right", "dark", "both")
@@ -131,12 +131,16 @@ class RunFolder:
         self.track_csv = path / "track.csv"
         self.bus = path / "bus"
 
+    @property
+    def names(self) -> frozenset[str]:
+        """What it may be called: by its path, or by its own name where that is a link to it."""
+        return frozenset({self.path.name, self.path.resolve().name})
+
     def read_run_file(self, unknown: Callable[[str], None] | None = None) -> RunFile:
         """``run.toml``, checked.
 
         Args:
-            unknown: is told in a sentence of keys that nobody here knows, as in runs that others made; they are not
-                looked at then. Without it they are refused, and those that are but slips of the pen always.
+            unknown: see :func:`flora_common.toml_strict.convert`; others make runs, too.
 
         Raises:
             BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.
@@ -152,12 +156,7 @@ class RunFolder:
         except OSError as problem:  # pathlib takes few of them for no
             raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
         table = read_toml(self.run_toml, BadRunFolder)
-        if unknown is not None:
-            table, names = without_unknown(table, RunFile)
-            if names:
-                keys = ", ".join(f"`{name}`" for name in names)
-                unknown(f"{self.run_toml}: {keys} {'is' if len(names) == 1 else 'are'} unknown, and not looked at")
-        return convert(table, RunFile, where=str(self.run_toml), error=BadRunFolder)
+        return convert(table, RunFile, where=str(self.run_toml), error=BadRunFolder, unknown=unknown)
 
     def background_pictures(self) -> list[Path]:
         """Pictures of the setup without a plant, in name order."""

@@ -7,7 +7,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -72,16 +72,29 @@ def _values(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield place, value
 
 
-def convert(data: dict[str, Any], into: type[T], *, where: str, error: type[BadInput]) -> T:
+def convert(
+    data: dict[str, Any],
+    into: type[T],
+    *,
+    where: str,
+    error: type[BadInput],
+    unknown: Callable[[str], None] | None = None,
+) -> T:
     """Check a parsed table against a struct type.
 
     Args:
         data: the table as parsed.
-        into: a struct type; fields that it does not name are refused, at every depth.
+        into: a struct type.
         where: the file, and the section where there is one, for the message.
         error: the error class to raise.
+        unknown: is told in a sentence of keys that the type does not name, at any depth; they are not looked at then.
+            Without it they are refused, and those that are but slips of the pen always.
     """
-    _refuse_unknown(data, into, where, error)
+    foreign: list[str] | None = None if unknown is None else []
+    data = _known(data, into, where, error, foreign)
+    if unknown is not None and foreign:
+        keys = ", ".join(f"`{key}`" for key in foreign)
+        unknown(f"{where}: {keys} {'is' if len(foreign) == 1 else 'are'} unknown, and not looked at")
     try:
         return msgspec.convert(data, into)
     except msgspec.ValidationError as problem:
@@ -165,37 +178,33 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
     return {k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None}
 
 
-def without_unknown(data: dict[str, Any], into: type[msgspec.Struct]) -> tuple[dict[str, Any], list[str]]:
-    """A parsed table without the keys that a struct type does not name, and which these are, dotted.
+def _known(
+    data: dict[str, Any],
+    into: type[msgspec.Struct],
+    where: str,
+    error: type[BadInput],
+    foreign: list[str] | None,
+    above: str = "",
+) -> dict[str, Any]:
+    """A table without the keys that are no fields of a struct type; their dotted names are added to ``foreign``.
 
-    What is all but the name of a known one stays, for :func:`convert` to refuse it.
+    Raises:
+        error: such a key, where there is no ``foreign``, or all but the name of a field.
     """
     structs = _structs_of(into)
     known: dict[str, Any] = {}
-    unknown: list[str] = []
-    for key, value in data.items():
-        if key not in structs and not is_slip(key, structs):
-            unknown.append(clipped(key))
-            continue
-        inner = structs.get(key)
-        known[key] = value
-        if inner is not None and isinstance(value, dict):
-            known[key], below = without_unknown(value, inner)
-            unknown += [f"{key}.{name}" for name in below]
-    return known, unknown
-
-
-def _refuse_unknown(data: dict[str, Any], into: type[msgspec.Struct], where: str, error: type[BadInput]) -> None:
-    structs = _structs_of(into)
     for key, value in data.items():
         if key not in structs:
-            raise error(f"{where}: unknown key `{clipped(key)}`{did_you_mean(key, structs)}")
-        inner = structs[key]
-        if inner is None:
+            if foreign is None or is_slip(key, structs):
+                raise error(f"{where}: unknown key `{clipped(key)}`{did_you_mean(key, structs)}")
+            foreign.append(above + clipped(key))
             continue
-        for item in value if isinstance(value, list) else [value]:
-            if isinstance(item, dict):
-                _refuse_unknown(item, inner, f"{where} [{key}]", error)
+        inner, items = structs[key], value if isinstance(value, list) else [value]
+        if inner is not None:
+            deeper = f"{where} [{key}]", error, foreign, f"{above}{key}."
+            items = [_known(item, inner, *deeper) if isinstance(item, dict) else item for item in items]
+        known[key] = items if isinstance(value, list) else items[0]
+    return known
 
 
 @functools.cache

@@ -83,7 +83,7 @@ def build(app: App[ControllerSection]) -> None:
         follow()  # the last start ended between the last tick of a shadow and what follows from it
     tell_troubles()
 
-    own = {"", app.run.path.name, app.run.path.resolve().name}  # a rig's run folder may be a link to this plant's
+    own = {"", *app.run.names}
 
     def on_stem(stem: Stem) -> None:
         # The bus keeps the last one of the run before; its plant says nothing of this run's.

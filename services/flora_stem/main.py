@@ -32,7 +32,7 @@ class FrameReader:
 
     def __init__(self, run: RunFolder, run_file: RunFile, section: StemSection) -> None:
         self._run = run
-        self._names = {run.path.name, run.path.resolve().name}
+        self._names = run.names
         self._size_px = (run_file.camera.width_px, run_file.camera.height_px)
         self._reduction = section.reduction(run_file.camera)
 
