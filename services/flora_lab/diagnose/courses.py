@@ -29,6 +29,7 @@ _EVERY_H: Final = 6.0
 _SPELL_H: Final = 12.0
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
+_SIDES: Final = (("left", -1.0), ("right", 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +104,15 @@ def _after(hour_h: float) -> Callable[[Moments], Array]:
 
 
 def _spell(from_h: float) -> Callable[[Moments], Array]:
-    return _column(lambda at: _is_in_spell(at, from_h))
+    return _column(lambda at: ((at.time_h > from_h) & (at.time_h <= from_h + _SPELL_H)).astype(np.float64))
 
 
-def _spell_of_lamp(side: float, from_h: float) -> Callable[[Moments], Array]:
-    return _column(lambda at: np.where(at.side == side, _is_in_spell(at, from_h), 0.0))
+def _while_lit(side: float, course: Callable[[Moments], Array]) -> Callable[[Moments], Array]:
+    return lambda at: np.where((at.side == side)[:, None], course(at), 0.0)
 
 
-def _is_in_spell(at: Moments, from_h: float) -> Array:
-    return ((at.time_h > from_h) & (at.time_h <= from_h + _SPELL_H)).astype(np.float64)
-
-
-def _shadow(side: float, from_h: float) -> Callable[[Moments], Array]:
-    def course(at: Moments) -> Array:
-        return np.asarray((at.side == side) & ((at.time_h - from_h) % DAY_H < _SHADOW_H), dtype=np.float64)
-
-    return _column(course)
+def _shadow(from_h: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: ((at.time_h - from_h) % DAY_H < _SHADOW_H).astype(np.float64))
 
 
 COURSES: Final = (
@@ -143,7 +137,7 @@ COURSES: Final = (
             ("gain", "growth", "bias"),
             _farther(side),
         )
-        for name, side in (("left", -1.0), ("right", 1.0))
+        for name, side in _SIDES
     ),
     Course(
         f"for each {_HEIGHT_CM:.0f} cm that the tip is higher",
@@ -173,18 +167,18 @@ COURSES: Final = (
         Course(
             f"while the {name} lamp shines, from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
             ("gain",),
-            _spell_of_lamp(side, hour_h),
+            _while_lit(side, _spell(hour_h)),
         )
-        for name, side in (("left", -1.0), ("right", 1.0))
+        for name, side in _SIDES
         for hour_h in np.arange(_EVERY_H, 72.0 - _SPELL_H, _EVERY_H)
     ),
     *(
         Course(
             f"while the {name} lamp shines, from {from_h:.0f} to {(from_h + _SHADOW_H) % DAY_H:.0f} h of each day",
             ("gain",),
-            _shadow(side, from_h),
+            _while_lit(side, _shadow(from_h)),
         )
-        for name, side in (("left", -1.0), ("right", 1.0))
+        for name, side in _SIDES
         for from_h in np.arange(0.0, DAY_H, _SHADOW_EVERY_H)
     ),
 )

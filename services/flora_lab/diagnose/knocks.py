@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter1d
 
 from flora_common.arrays import Array
 from flora_common.geometry import turned_right
+from flora_lab.diagnose.record import usual_sd
 from flora_lab.simulator.measured import MeasuredRun
 
 KNOCKED: Final = "camera or pot was knocked; what comes after is turned back"
@@ -30,7 +31,6 @@ _NOT_RIGID: Final = 0.15
 fast as that, and none of them leaves less than 0.20: what turns so fast is a stem that bends."""
 _MOST: Final = 5
 """Knocks that are looked for in one run."""
-_MAD_SD: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ def _plainest(run: MeasuredRun) -> Knock | None:
     turn_rad = np.arctan2(cross.sum(axis=1), (before * after).sum(axis=(1, 2)))
     left = ((after - turned_right(before, turn_rad)) ** 2).sum(axis=(1, 2))
     went = np.maximum(1e-12, ((after - before) ** 2).sum(axis=(1, 2)))
-    usual_rad = _MAD_SD * float(np.median(np.abs(turn_rad)))
-    is_plain = is_dense & (np.abs(turn_rad) > max(math.radians(_LEAST_DEG), _MADS * usual_rad))
+    is_far = np.abs(turn_rad) > max(math.radians(_LEAST_DEG), _MADS * usual_sd(np.abs(turn_rad)))
+    is_plain = is_dense & is_far
     is_plain &= left < _NOT_RIGID**2 * went
     # Beside a moment at which a stem bends at once, lines that lead across it may turn the stem there as a whole.
     is_plain &= np.abs(turn_rad) == maximum_filter1d(np.abs(turn_rad), 2 * _ROWS + 1)

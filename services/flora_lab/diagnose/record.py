@@ -69,7 +69,7 @@ def _jumps(run: MeasuredRun) -> Array:
     half = _ABOUT_ROWS // 2
     around = _around(own)
     away = np.hypot(*(own - np.median(around, axis=-1)).T)
-    is_far = away > max(_LEAST_JUMP_CM * _seldom(run), _JUMP_MADS * _usual(away))
+    is_far = away > max(_LEAST_JUMP_CM * _seldom(run), _JUMP_MADS * usual_sd(away))
     # A wide swing turns back within minutes, too, but smoothly: a parabola runs through it, and through no jump.
     parabolas = np.linalg.qr(np.vander(np.arange(_ABOUT_ROWS, dtype=np.float64) - half, 3))[0]
     rough = np.sqrt(np.mean((around - around @ parabolas @ parabolas.T) ** 2, axis=-1).sum(axis=-1))
@@ -88,7 +88,7 @@ def _kinks(run: MeasuredRun) -> Array:
         return out
     kink = np.diff(run.points_cm[rows, -3:, 0], n=2, axis=1)
     away = np.abs(kink - np.median(_around(kink), axis=-1))[:, 0]
-    out[rows] = away > max(_LEAST_KINK_CM * _seldom(run), _KINK_MADS * _usual(away))
+    out[rows] = away > max(_LEAST_KINK_CM * _seldom(run), _KINK_MADS * usual_sd(away))
     return out
 
 
@@ -97,7 +97,7 @@ def _seldom(run: MeasuredRun) -> float:
     return max(1.0, run.step_s / _OF_STEP_S) ** 2
 
 
-def _usual(away: Array) -> float:
+def usual_sd(away: Array) -> float:
     """Standard deviation of what is away from its middle, but for few that are far."""
     return _MAD_SD * float(np.median(away))
 

@@ -110,8 +110,9 @@ def start_from(
         seen = stored.info.provenance.track
         check_unseen(runs, {track.sha256 for track in seen if track.part != EXTENSION})
         check_unseen(held_out, {track.sha256 for track in seen})
+        judged = simulator_of(stored)
         for told in (runs, held_out):
-            check_known(simulator_of(stored), told)
+            check_known(judged, told)
     if reference is not None:
         healthy = read_reference(reference, runs)
         check_unseen(held_out, {track.sha256 for track in healthy.tracks})
@@ -131,7 +132,6 @@ def start_from(
             [f"{simulator.name}, learned from {known.base.runs} runs", *(e.effect for e in read.extensions)]
         )
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
-    judged = simulator_of(stored)
     if isinstance(judged, CorrectedSimulator):
         raise BadInput(
             f"{simulator}: is a learned simulator that was corrected, which a diagnosis cannot start from; give the "
