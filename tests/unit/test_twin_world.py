@@ -23,9 +23,10 @@ from hypothesis import strategies as st
 
 from flora_common import files
 from flora_common.errors import BadInput
+from flora_twin import commands
 from flora_twin.faults import MENU, OPERATIONS
 from flora_twin.main import main
-from flora_twin.server import CHECKPOINT, LATEST_START_NS, TRUTH, WorldServer, only_one, parse_start
+from flora_twin.server import CHECKPOINT, LATEST_START_NS, TRUTH, WorldServer, bound, only_one, parse_start
 from flora_twin.strips import OFF, STRIP_BYTES, LampLight, strip_bytes
 from flora_twin.world import World
 
@@ -428,6 +429,26 @@ def test_a_box_whose_folder_cannot_be_made_leaves_no_socket_behind(
     said = f"{folder}: cannot be written, {tmp_path}/file is no folder; name another place with --state-dir\n"
     assert capsys.readouterr().err == f"flora-twin: {said}"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_box_binds_its_address_once_so_that_nobody_who_waits_for_it_loses_a_question(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, there: bool
+) -> None:
+    addresses = []
+
+    def counted(address: str) -> contextlib.AbstractContextManager[zmq.Socket[bytes]]:
+        addresses.append(address)
+        return bound(address)
+
+    monkeypatch.setattr(commands, "bound", counted)
+    monkeypatch.setattr(commands, "serve", lambda server, router: server.save())
+    where = f"ipc://{tmp_path}/world.sock"
+    if there:
+        (tmp_path / "state").mkdir()
+    assert main(["serve", "--address", where, "--state-dir", str(tmp_path / "state")]) == 0
+    assert addresses == [where]
+    assert (tmp_path / "state" / CHECKPOINT).is_file()
 
 
 def test_a_second_process_leaves_the_first_its_address(tmp_path: Path, serve: Callable[[], Process]) -> None:
