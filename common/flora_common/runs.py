@@ -132,9 +132,14 @@ class RunFolder:
         self.bus = path / "bus"
 
     @property
+    def name(self) -> str:
+        """Its own name, where ``path`` is a link to it."""
+        return self.path.resolve().name
+
+    @property
     def names(self) -> frozenset[str]:
-        """What it may be called: by its path, or by its own name where that is a link to it."""
-        return frozenset({self.path.name, self.path.resolve().name})
+        """What it may be called: by its path, or by its own name."""
+        return frozenset({self.path.name, self.name})
 
     def read_run_file(self, unknown: Callable[[str], None] | None = None) -> RunFile:
         """``run.toml``, checked.

@@ -87,7 +87,7 @@ class Store:
     """The photographs of one run.
 
     Attributes:
-        run_name: the run folder's own name, where ``run_dir`` is a link to it.
+        run_name: the run folder's own name.
         last: the photograph with the highest tick, or None.
         taken: photographs of the run itself, without those of the empty setup.
         mended: what was done about a damaged end of ``frames.csv``, in one sentence; empty where nothing was.
@@ -98,7 +98,7 @@ class Store:
 
     def __init__(self, run: RunFolder) -> None:
         self._run = run
-        self.run_name = run.path.resolve().name
+        self.run_name = run.name
         self.last: FrameRecord | None = None
         self.taken = 0
         self.mended = ""

@@ -56,7 +56,7 @@ def read_state(file: Path, run: RunFolder) -> BeatState | None:
     Raises:
         BadInput: the file is damaged or cannot be read, or the photographs cannot be looked at.
     """
-    state, seen, name = _read_file(file), last_photographed(run), run_name(run)
+    state, seen, name = _read_file(file), last_photographed(run), run.name
     if seen is None:
         return state
     if state is None or state.run != name:
@@ -95,11 +95,6 @@ def keep_damaged(file: Path) -> str:
     return ""
 
 
-def run_name(run: RunFolder) -> str:
-    """The run folder's own name, where ``run_dir`` is a link to it."""
-    return run.path.resolve().name
-
-
 def build(app: App[FlashSection]) -> None:
     interval_s = app.run.read_run_file().interval_s
     utc_is_right = functools.partial(is_right, app.rig.clock)
@@ -108,7 +103,7 @@ def build(app: App[FlashSection]) -> None:
     if kept := keep_damaged(state_file):
         app.log.warning("state_damaged", file=state_file, reason=kept)
     state = read_state(state_file, app.run)
-    beat = Beat(interval_s, run=run_name(app.run), state=state, now=now)
+    beat = Beat(interval_s, run=app.run.name, state=state, now=now)
     lamp = open_lamp(app.rig, app.config)
     lamp.switch(False)
     FlashService(app, lamp, beat, boot_id=now.boot_id, utc_is_right=utc_is_right)

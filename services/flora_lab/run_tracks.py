@@ -86,7 +86,7 @@ def load_run(path: Path) -> RunTrack:
             else f"; make it with `flora-lab track {path} -o {folder.track_csv}`"
         )
         raise BadInput(f"{path}: holds no track.csv{hint}")
-    name = files.shown(path.resolve().name)
+    name = files.shown(folder.name)
     run_file = folder.read_run_file(unknown=aside) if folder.run_toml.exists() else None
     plant = run_file.plant.strip() if run_file else ""
     sha256 = files.sha256_of_file(folder.track_csv)
