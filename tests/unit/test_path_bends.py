@@ -168,6 +168,27 @@ def test_a_stem_that_sinks_into_noise_is_not_taken_for_short(upper: float, outco
     assert (tip_error_mm(reading, upright(9.0)) > 30.0) == (outcome == OCCLUDED)
 
 
+@pytest.mark.parametrize(("beyond", "outcome"), [(0.0, OK), (0.12, OCCLUDED)])
+def test_a_stem_that_is_paler_at_its_end_has_not_faded_unless_it_goes_on_fainter(beyond: float, outcome: str) -> None:
+    """A thin one's young end has less contrast, and is plain to see."""
+    line, one = upright(9.0), tracker()
+    assert one.read(drawn(board(1), line), 0.0).outcome == OK
+    picture = board(2)
+    behind = picture[round(ANCHOR[1] - 9.0 * SCALE), 240].astype(float)
+
+    def tone(share: float) -> tuple[int, int, int]:
+        b, g, r = (round(v) for v in behind + share * (np.array(STEM) - behind))
+        return b, g, r
+
+    if beyond:
+        drawn(picture, upright(12.0)[30:], tone(beyond))
+    drawn(picture, line[33:], tone(0.34))
+    drawn(picture, line[:35])
+    reading = one.follow(one.look(picture), 300.0)
+    assert (reading.outcome, "fades" in reading.reason) == (outcome, outcome == OCCLUDED)
+    assert tip_error_mm(reading, line) < 5.0
+
+
 def behind_leaf(line: np.ndarray, hidden_cm: float, wide_cm: float = 2.2) -> np.ndarray:
     """An upright stem with a leaf before it, from 4 cm of height on."""
     picture = drawn(board(1), line)

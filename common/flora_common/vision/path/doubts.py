@@ -46,6 +46,9 @@ faded and may go on unseen."""
 STEADY, STEADY_CM = 0.8, 3.0
 """A stem as long as the second, whose evidence before the tip is this share of that below, has not faded, however much
 noise there is."""
+PALER: Final = 2.5
+"""Evidence before the tip, in the same shares, from which on a stem that is paler than below is still plain to see: a
+thin one's young end is."""
 SUNK_CM, SUNK_ASIDE_CM, SUNK_BESIDE_CM = (0.4, 2.4), 0.12, (0.5, 1.1)
 """A stem that sinks into noise goes on over the first, ahead of where it is lost: so far to either side it is looked
 for, and the board beside it so far off."""
@@ -113,7 +116,9 @@ def ends_in_leaf(stem: Stem, sampler: Sampler, px_per_cm: float) -> str:
     return ""
 
 
-def fades(stem: Stem, sampler: Sampler, px_per_cm: float, *, may_be_steady: bool = True) -> str:
+def fades(
+    stem: Stem, sampler: Sampler, px_per_cm: float, *, may_be_steady: bool = True, may_be_paler: bool = False
+) -> str:
     """Why the stem may go on unseen, one clause; empty where nothing says so.
 
     Args:
@@ -121,6 +126,7 @@ def fades(stem: Stem, sampler: Sampler, px_per_cm: float, *, may_be_steady: bool
         sampler: of the picture.
         px_per_cm: of the full picture.
         may_be_steady: whether one that is as plain before its end as below has not faded, in whatever noise.
+        may_be_paler: whether one that is plain to see before its end has not faded, however much plainer it is below.
     """
     s, plant = arc_length(stem.line), sampler.plant(stem.line[None])[0]
     to_tip_cm = (s[-1] - s) / px_per_cm
@@ -129,7 +135,8 @@ def fades(stem: Stem, sampler: Sampler, px_per_cm: float, *, may_be_steady: bool
         return ""
     here, below = float(np.median(last)), float(np.median(rest)) if rest.size else 0.0
     is_steady = may_be_steady and to_tip_cm[0] > STEADY_CM and here > STEADY * below
-    if here < FADED_SHARE * below or (here < FADED * sampler.least and not is_steady):
+    has_paled = here < FADED_SHARE * below and not (may_be_paler and here > PALER * sampler.least)
+    if has_paled or (here < FADED * sampler.least and not is_steady):
         return "the stem fades before it ends: it looks like what is behind it"
     return ""
 

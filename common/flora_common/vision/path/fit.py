@@ -239,8 +239,8 @@ class Fitter:
         if fit.held:
             unsure = doubts.ANOTHER_PART
         # the lower part of a stem that sinks into noise is as plain as any, up to where it sinks
-        may_be_steady = not is_first or not doubts.sinks(final.line, sight.flat, scale)
-        fades = doubts.fades(final, sampler, scale, may_be_steady=may_be_steady)
+        sinks = doubts.sinks(final.line, sight.flat, scale)
+        fades = doubts.fades(final, sampler, scale, may_be_steady=not (is_first and sinks), may_be_paler=not sinks)
         unsure = fades or doubts.ends_in_leaf(final, sampler, scale) or unsure
         if not unsure and rivals.are_hidden:
             unsure = doubts.HIDDEN_END
