@@ -14,6 +14,7 @@ from typing import Any, Self
 from flora_common.bus import BusAddress, BusClient
 from flora_common.bus_keys import BUS, CLIENT, ClientKeys, client_keys, make_authorized, make_pair
 from flora_common.clock import SystemClock
+from flora_common.messages import Tick
 
 
 def free_ports(count: int) -> list[int]:
@@ -79,6 +80,20 @@ class NetworkBus:
             f'bus_publish = "{self.address.publish}"\nbus_subscribe = "{self.address.subscribe}"\n{with_keys}'
         )
         return path
+
+
+def ticks(heard: list[Any]) -> list[int]:
+    return [a.message.tick for a in heard if isinstance(a.message, Tick)]
+
+
+def until_heard(net: NetworkBus, listener: BusClient, speaker: BusClient, tick: int) -> None:
+    """As two loops do: what was said into a line that was already dead is said again when the speaker has noticed."""
+
+    def is_heard(heard: list[Any]) -> bool:
+        speaker.handle_publisher()
+        return tick in ticks(heard)
+
+    net.bus.hear(listener, is_heard)
 
 
 class Line:

@@ -25,6 +25,8 @@ from flora_controller.succession import Succession
 from signing_keys import ADA, TIP_ONLY, signed, trusted
 
 TARGET, OBSTACLE = Target(-5.12, 17.9), Obstacle(-6.3, 12.5)
+RIGHT_OF_IT, LEFT_OF_IT = 0.0, -9.0
+"""Tips on either side of the target's x."""
 
 
 def stem(tick: int, x_cm: float | None = 0.0, y_cm: float = 10.0) -> Stem:
@@ -49,6 +51,9 @@ def diverging(*, serial: int) -> LoadedController:
 def tip_only(*, serial: int, name: str = "tip-only", **changes: Any) -> LoadedController:
     """Left where the tip is right of the target's x, else right."""
     return signed(TIP_ONLY, ADA, serial=serial, name=name, **changes)
+
+
+FIRST, SECOND = tip_only(serial=1, name="first"), tip_only(serial=2, name="second")
 
 
 class Rig:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from controller_rig import diverging, stem, tip_only
+from controller_rig import LEFT_OF_IT, RIGHT_OF_IT, diverging, stem, tip_only
 from flora_common.bus import Arrival, BusClient
 from flora_common.messages import ControllerAnswer, ControllerState, Health, LightCommand
 from flora_common.runs import CameraSection, ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
@@ -118,9 +118,6 @@ class Rig:
 @pytest.fixture
 def rig(bus: PrivateBus) -> Rig:
     return Rig(bus)
-
-
-RIGHT_OF_IT, LEFT_OF_IT = 0.0, -9.0
 
 
 def test_published_in_shadow_steering_and_a_tampered_one_refused(rig: Rig) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from test_stem_core import CAMERA, Box, jpeg
+from stem_fakes import CAMERA, Box, jpeg
 
 from flora_common.messages import Stem
 from flora_common.runs import CameraSection, RunFile

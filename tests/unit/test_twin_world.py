@@ -1,11 +1,8 @@
-"""The world and its server: each operation, malformed requests, faults, checkpoints and starts."""
+"""The world and its server: each operation, malformed requests, and faults."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import random
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,46 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from served_world import RIGHT, START_NS, Rig, make
 
 from flora_common import files
-from flora_common.errors import BadInput
 from flora_twin.faults import MENU, OPERATIONS
-from flora_twin.main import main
-from flora_twin.server import CHECKPOINT, LATEST_START_NS, TRUTH, WorldServer, only_one, parse_start
-from flora_twin.strips import OFF, STRIP_BYTES, LampLight, strip_bytes
-from flora_twin.world import World
+from flora_twin.server import TRUTH
+from flora_twin.strips import STRIP_BYTES
 
-START_NS = 1_772_352_000_000_000_000
 SHUTTER = {"op": "shutter", "exposure_us": 20_000, "analogue_gain": 1.0, "colour_gains": [1.9, 1.6]}
-FULL_WHITE = LampLight(1.0, 1.0, 1.0)
-RIGHT = strip_bytes(OFF, FULL_WHITE)
-
-
-@dataclass
-class Clock:
-    now_s: float = 1000.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-@dataclass
-class Rig:
-    server: WorldServer
-    clock: Clock
-    folder: Path
-
-    def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
-        reply = self.server.handle(msgpack.packb({"op": op, **arguments}))
-        assert reply is not None
-        answer = msgpack.unpackb(reply)
-        assert isinstance(answer, dict)
-        return answer
-
-
-def make(folder: Path, *, seed: int = 3, rate: float = 0.0) -> Rig:
-    clock = Clock()
-    return Rig(WorldServer(World(seed), folder, start_utc_ns=START_NS, rate=rate, monotonic_s=clock), clock, folder)
 
 
 @pytest.fixture
@@ -263,88 +228,3 @@ def test_every_operation_is_understood(eye: Rig) -> None:
         assert reply is not None
         assert "wrong" in msgpack.unpackb(reply)["error"]
     assert {fault.layer for fault in MENU.values()} == {"world", "rig"}
-
-
-def test_a_snapshot_goes_on_byte_for_byte() -> None:
-    world = World(8)
-    world.set_strips(RIGHT)
-    world.set_flash(True)
-    world.advance_to(5000.0)
-    world.switch_fault("torn_jpeg", on=True, times=2)
-    other = World(8)
-    other.restore(world.snapshot())
-    for each in (world, other):
-        each.advance_to(12_345.0)
-        each.set_strips(strip_bytes(FULL_WHITE, OFF))
-        each.advance_to(20_000.0)
-    assert world.snapshot() == other.snapshot()
-    with pytest.raises(BadInput, match="seed 8"):
-        World(9).restore(world.snapshot())
-
-
-def test_damaged_snapshots_are_refused_and_change_nothing() -> None:
-    world = World(8)
-    world.advance_to(1000.0)
-    good = world.snapshot()
-    rng = random.Random(1)
-    for _ in range(60):
-        bad = bytearray(good)
-        bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
-        bad = bad[: rng.randrange(len(bad))] if rng.random() < 0.4 else bad
-        with contextlib.suppress(BadInput):  # a flip in the archive's padding does no harm
-            world.restore(bytes(bad))
-        assert world.snapshot() == good
-
-
-def test_a_damaged_checkpoint_is_told_with_its_path(tmp_path: Path) -> None:
-    make(tmp_path)
-    (tmp_path / CHECKPOINT).write_bytes(b"PK nothing")
-    with pytest.raises(BadInput, match=CHECKPOINT):
-        make(tmp_path)
-
-
-def test_a_checkpoint_of_another_seed_is_refused(tmp_path: Path) -> None:
-    make(tmp_path, seed=1)
-    with pytest.raises(BadInput, match="seed 1"):
-        make(tmp_path, seed=2)
-
-
-def test_two_worlds_do_not_share_a_folder(tmp_path: Path) -> None:
-    with only_one(tmp_path), pytest.raises(BadInput, match="another flora-twin"), only_one(tmp_path):
-        pass
-
-
-@pytest.mark.parametrize("text", ["yesterday", "2026-03-01T08:00:00"])
-def test_starts_that_are_no_moment_are_refused(text: str) -> None:
-    with pytest.raises(BadInput, match="start"):
-        parse_start(text)
-    assert parse_start("2026-03-01T08:00:00Z") == START_NS
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["9999-12-31T23:59:59Z", "2231-01-01T00:00:00Z", "0001-01-01T00:00:00+14:00", "1969-12-31T23:59:59Z"],
-)
-def test_starts_that_messages_cannot_tell_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
-    assert main(["serve", "--start", text, "--state-dir", str(tmp_path / "state")]) == 2
-    assert capsys.readouterr().err == (
-        f"flora-twin: start `{text}` lies outside of the years 1970 to 2230; choose a time within them\n"
-    )
-    assert not (tmp_path / "state").exists()
-
-
-@pytest.mark.parametrize("kept", [-1, LATEST_START_NS + 1, 2**70])
-def test_a_kept_start_that_messages_cannot_tell_is_refused(tmp_path: Path, kept: int) -> None:
-    (tmp_path / "start.json").write_text(json.dumps({"start_utc_ns": kept}))
-    with pytest.raises(BadInput, match=r"start\.json: damaged \(.* 1970 to 2230\); remove .* to start anew"):
-        make(tmp_path)
-
-
-def test_a_world_of_the_latest_start_answers_to_its_end_and_beyond_it_when_its_clock_jumps(tmp_path: Path) -> None:
-    (tmp_path / "start.json").write_text(json.dumps({"start_utc_ns": LATEST_START_NS}))
-    rig = make(tmp_path)
-    assert rig.ask("now")["t_utc_ns"] == LATEST_START_NS
-    rig.ask("fault", name="clock_jumps", on=True, seconds=1e10)
-    assert rig.ask("now")["t_utc_ns"] == 2**63 - 1

@@ -226,3 +226,8 @@ class Bench:
 
     def stages(self) -> list[tuple[str, str]]:
         return [(event.stage, event.path) for event in self.events]
+
+
+def heal(bench: Bench) -> None:
+    """Whatever its target failed at, it does not any more."""
+    bench.target.at_call = lambda number, what: None
