@@ -63,6 +63,18 @@ def test_a_swing_is_found_with_period_and_amplitude(period_h: float, amplitude_c
     assert found.period_interval_h[0] <= found.period_h <= found.period_interval_h[1]
 
 
+@pytest.mark.parametrize("seed", [1, 11, 21])
+def test_a_faint_swing_is_believed_of_several_runs_and_a_plain_one_of_one_among_them(seed: int) -> None:
+    """Some plants waver more than others: what one of three shows alone takes more."""
+
+    def evidence(*amplitudes_cm: float) -> float:
+        swings = (a * np.sin(2.0 * np.pi * TIME_H / 1.64 + seed + k) for k, a in enumerate(amplitudes_cm))
+        return looked([noise(seed + k) + swing for k, swing in enumerate(swings)]).evidence
+
+    assert evidence(0.06, 0.0, 0.0) < FIRST < evidence(0.06, 0.06, 0.06)
+    assert evidence(0.3, 0.0, 0.0) > FIRST
+
+
 def test_a_swing_whose_phase_drifts_is_found_too() -> None:
     runs = []
     for seed in (3, 4, 5):

@@ -40,6 +40,8 @@ _SMOOTH_SHARE: Final = 0.12
 _FLOOR_SHARE: Final = 0.02
 LOOKED: Final = float(np.log(65.0 * len(_OVERTONES)))
 """The price of having looked at all periods, with and without an overtone, in nats."""
+ALONE: Final = 7.0
+"""Nats that a swing takes more which one of several runs shows alone: any plant may waver more than the others do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,16 +177,18 @@ def best_swing(
     ends = 1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0]
     tried = np.arange(ends[0], ends[1], PER_HOUR)
     kinds = list(itertools.product(COHERENCE_H, _OVERTONES))
-    likelihood = np.zeros((len(kinds), len(tried), len(_AMPLITUDES_CM)))
-    for own, expected in zip(spectra, expectations, strict=True):
+    by_run = np.zeros((len(spectra), len(kinds), len(tried), len(_AMPLITUDES_CM)))
+    for likelihood, own, expected in zip(by_run, spectra, expectations, strict=True):
         without = -improbability(own, expected)
         for c, (coherence_h, overtone) in enumerate(kinds):
             line = _line(own, tried, coherence_h) + overtone * _line(own, 2.0 * tried, coherence_h)
             for a, amplitude in enumerate(_AMPLITUDES_CM):
                 swinging = [_probability(own, usual + amplitude**2 * line) for usual in expected]
-                likelihood[c, :, a] += np.max(swinging, axis=0) - without
-    best = int(np.argmax(likelihood.max(axis=(1, 2))))
-    top = likelihood[best]
+                likelihood[c, :, a] = np.max(swinging, axis=0) - without
+    together = by_run.sum(axis=0)
+    best, at, size = np.unravel_index(np.argmax(together), together.shape)
+    top, each = together[best], by_run[:, best, at, size]
+    is_alone = len(each) > 1 and each.sum() <= each.max()
     weights = np.exp(top - top.max())
     by_period = weights.sum(axis=1)
     period = _middle(1.0 / tried[::-1], by_period[::-1])
@@ -194,7 +198,7 @@ def best_swing(
         period_h=period[1],
         amplitude_cm=amplitude_cm,
         coherence_h=kinds[best][0],
-        evidence=float(top.max()) - LOOKED - 1.0,
+        evidence=float(top.max()) - LOOKED - 1.0 - (ALONE if is_alone else 0.0),
         period_interval_h=(period[0], period[2]),
         amplitude_interval_cm=interval_cm,
     )
