@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose import chance, clocks, rhythm, search
+from flora_lab.diagnose import chance, clocks, gusts, rhythm, search
 from flora_lab.diagnose.claims import claims_of
 from flora_lab.diagnose.explanation import SWING, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
@@ -284,7 +284,7 @@ class Explainer:
         for i, scene in enumerate(self.scenes):
             rest, moved = spectra_of(scene, before, i)
             left.append(rest)
-            expected.append(self.known.swings.expectations(moved))
+            expected.append(self.known.swings.expectations(moved) + gusts.power(scene, before, i, rest))
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
@@ -296,7 +296,8 @@ class Explainer:
         for i, scene in enumerate(self.scenes):
             for found, sign in ((before, 1.0), (after, -1.0)):
                 rest, moved = spectra_of(scene, found, i)
-                total += sign * rhythm.improbability(rest, self.known.swings.expectations(moved))
+                usual = self.known.swings.expectations(moved) + gusts.power(scene, found, i, rest)
+                total += sign * rhythm.improbability(rest, usual)
         return total
 
     @staticmethod
@@ -336,10 +337,10 @@ class Explainer:
             scene.answers(traits + change.traits, change)
             for scene, traits in zip(self.scenes, found.traits, strict=True)
         ]
-        self._errors = [
-            self.known.errors.of_run(scene, traits, change, len(self.scenes))
-            for scene, traits in zip(self.scenes, found.traits, strict=True)
-        ]
+        self._errors = []
+        for run, (scene, traits) in enumerate(zip(self.scenes, found.traits, strict=True)):
+            shift, errors = self.known.errors.of_run(scene, traits, change, len(self.scenes))
+            self._errors.append((shift, errors + gusts.covariance(scene, found, run)))
 
     def _joint(self, swing: Swing | None) -> Joint:
         runs = []

@@ -1,0 +1,116 @@
+"""Gusts of a draught: as large as the wind bends stems, and nothing that is left over beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import pytest
+import scipy.integrate
+from diagnose_runs import TYPICAL, change_of, known, red_noise, run_of, scene_of
+
+from flora_common.arrays import Array
+from flora_lab.diagnose import gusts
+from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Explanation
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
+from flora_lab.diagnose.joint import Found
+from flora_lab.diagnose.rhythm import spectrum
+from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.diagnose.verdict import left_of, named, verdict_of
+from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects.effect import Change
+from flora_lab.simulator.measured import MeasuredRun
+from flora_lab.simulator.sag import SOFTNESS_CM
+from flora_lab.simulator.terms import WIND
+from flora_lab.threads import one_blas_thread
+
+ELASTIC: Final = 2
+"""The form of a draught that bends stems elastically."""
+DRIVE_PER_CM_H: Final = 0.15
+
+
+def blown(drive_per_cm_h: float) -> Change:
+    return change_of({"draught": {"drive_per_cm_h": drive_per_cm_h}}, {"draught": ELASTIC})
+
+
+def typical_in_wind(drive_per_cm_h: float) -> Found:
+    """The explanation of a typical plant by a draught."""
+    cause = Cause(BY_NAME["draught"], ELASTIC)
+    coordinates = np.array([cause.parameters[0].coordinate(drive_per_cm_h)])
+    return Found(Hypothesis((cause,)), coordinates, TYPICAL[None], np.zeros((1, 2)))
+
+
+def course(rng: np.random.Generator, rows: int) -> Array:
+    """How much harder than its mean a wind blows, shape (rows,)."""
+    return np.asarray(np.sum([share * red_noise(rng, rows, memory_h) for memory_h, share in gusts.GUSTS], axis=0))
+
+
+def gusty(seed: int) -> MeasuredRun:
+    """A run in a wind that comes and goes."""
+    run = run_of(seed, hours=72.0, change=blown(DRIVE_PER_CM_H))
+    aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(DRIVE_PER_CM_H).terms[WIND]), SOFTNESS_CM)
+    harder = 0.7 * course(np.random.default_rng([seed, 3]), len(run.points_cm))  # a calmer one than is allowed for
+    harder[0] = 0.0  # a run begins from the stem that is measured
+    return replace(run, points_cm=run.points_cm + harder[:, None, None] * aside_cm)
+
+
+def explained(seeds: Sequence[int]) -> Explanation:
+    with one_blas_thread():
+        return Explainer([Scene(gusty(seed), scene_of(seed).law) for seed in seeds], known()).explain()
+
+
+@pytest.mark.parametrize("lean_rad", [0.0, 0.6])
+def test_wind_holds_a_stem_aside_by_its_moments_where_that_is_soft(lean_rad: float) -> None:
+    """Of a straight stem the moment at so far below its tip goes with the square of that, and the lever with it."""
+    length_cm, wind = 16.0, 1e-3
+    along = np.array([np.sin(lean_rad), np.cos(lean_rad)])
+    stem = np.linspace(0.0, length_cm, 40)[:, None] * along
+    tip = gusts.held_aside_cm(stem[None], wind, SOFTNESS_CM)[0, -1]
+    whole, _ = scipy.integrate.quad(lambda u: 0.5 * wind * np.exp(-u / SOFTNESS_CM) * u**3, 0.0, length_cm)
+    assert tip == pytest.approx(whole * np.cos(lean_rad) * np.array([along[1], -along[0]]), rel=0.03, abs=1e-9)
+    coarse = gusts.held_aside_cm(stem[None, ::13], wind, SOFTNESS_CM)[0, -1]
+    assert coarse == pytest.approx(tip, rel=0.35, abs=1e-9)
+
+
+def test_hourly_means_and_spectra_scatter_as_much_as_gusts_make_them() -> None:
+    """The long way round: many courses of one wind about one plant."""
+    scene, found = scene_of(1, traits=TYPICAL, chance={}, change=blown(DRIVE_PER_CM_H)), typical_in_wind(DRIVE_PER_CM_H)
+    stems = scene.run.points_cm[1 : scene.steps + 1]
+    aside_cm = gusts.held_aside_cm(stems, 0.03 * DRIVE_PER_CM_H, SOFTNESS_CM)
+    rng = np.random.default_rng(4)
+    courses = np.stack([course(rng, scene.steps) for _ in range(400)], axis=1)
+    every = scene.steps // len(scene.points(Lanes(TYPICAL[None], np.zeros((1, 2)), [Change()])))
+    moved = courses[:, :, None, None] * aside_cm[:, None]
+    means = moved.reshape(-1, every, *moved.shape[1:]).mean(axis=1)
+    sampled, wanted = np.cov(scene.of_points(means).T), gusts.covariance(scene, found, 0)
+    assert np.trace(sampled) == pytest.approx(np.trace(wanted), rel=0.15)
+    assert np.sum(sampled * wanted) > 0.97 * np.sqrt(np.sum(sampled**2) * np.sum(wanted**2))
+    spectra = [spectrum(moved[:, k, -1, 0], scene.step_h) for k in range(moved.shape[1])]
+    power = np.mean([own.power for own in spectra], axis=0)
+    middle = (spectra[0].per_hour > 0.4) & (spectra[0].per_hour < 1.2)
+    expected = gusts.power(scene, found, 0, spectra[0])
+    assert power[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.25)
+
+
+def test_where_no_wind_bends_stems_there_are_no_gusts() -> None:
+    scene = scene_of(1, traits=TYPICAL, chance={})
+    calm = Found(Hypothesis(), np.zeros(0), TYPICAL[None], np.zeros((1, 2)))
+    assert not gusts.covariance(scene, calm, 0).any()
+    assert not gusts.power(scene, calm, 0, spectrum(scene.run.points_cm[:, -1, 0], scene.step_h)).any()
+
+
+def test_a_gusty_draught_is_named_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    explanation = explained((84, 85))
+    left = left_of(explanation, known())
+    (cause,) = named(explanation, left)
+    assert (cause.effect, cause.form, verdict_of([cause], left)) == ("draught", ELASTIC, "explained")
+    assert cause.confidence > 0.8
+    assert cause.interval["drive_per_cm_h"][0] < DRIVE_PER_CM_H < cause.interval["drive_per_cm_h"][1]
+
+    monkeypatch.setattr(gusts, "GUSTS", ())
+    steady = explained((84, 85))
+    causes = named(steady, left_of(steady, known()))
+    assert [one.effect for one in causes if one.confidence > 0.8] != ["draught"]
