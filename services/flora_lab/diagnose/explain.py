@@ -94,11 +94,15 @@ class Explainer:
         stages: list[Stage] = []
         while len(stages) <= MOST_CAUSES:
             stage = self._settled(reached.joint, reached.found, reached.swing, _RESTARTS if not stages else 1)
-            stages.append(stage)
             reached = replace(reached, found=stage.before)
-            if not self._is_worth_taking(stage, reached.accepted):
-                break
-            further = self._with_the_best(reached, stage)
+            further: _Reached | None = None
+            while further is None and self._is_worth_taking(stage, reached.accepted):
+                taken = self._with_the_best(reached, stage)
+                if isinstance(taken, Stage):
+                    stage = taken
+                else:
+                    further = taken
+            stages.append(stage)
             if further is None:
                 break
             reached = further
@@ -114,8 +118,9 @@ class Explainer:
             return False
         return stage.tried[0].gain >= self._needed(stage, accepted) and not self._is_outdone(stage, accepted)
 
-    def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | None:
-        """With the best cause of a stage besides; None where it comes to next to nothing."""
+    def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | Stage:
+        """With the best cause of a stage besides; where it comes to too little about the plants that have it, that
+        stage with what it does come to."""
         best, swing = stage.tried[0], reached.swing
         accepted = [*reached.accepted, Accepted(best, stage)]
         if best.swing is not None:
@@ -132,11 +137,11 @@ class Explainer:
         joint = self._joint(swing)
         found = joint.fit(_started(found))
         # With what chance does about it, it may be next to nothing, and what it made worthless is not.
-        if not _is_worth_a_name(found):
-            return None
-        without = joint.fit(_without(found, best.effect.name))
-        is_still_one = evidence_for_last(without, found) >= self._least(best.effect, len(accepted) - 1)
-        return _Reached(joint, found, swing, tuple(accepted)) if is_still_one else None
+        about_itself = _tried(joint.fit(_without(found, best.effect.name)), best.effect, found)
+        if about_itself.gain >= self._least(best.effect, len(accepted) - 1):
+            return _Reached(joint, found, swing, tuple(accepted))
+        less = replace(best, gain=min(best.gain, about_itself.gain))
+        return replace(stage, tried=tuple(sorted((less, *stage.tried[1:]), key=lambda one: -one.gain)))
 
     def _least(self, effect: Effect, others: int) -> float:
         """Nats that a cause beside so many others must keep about the plants that have it."""

@@ -1,9 +1,9 @@
 """Gusts: no wind is steady, and a stem that it bends elastically follows it within minutes.
 
-A draught in its elastic form (``WIND`` of :mod:`flora_lab.simulator.terms`) explains the mean push. That it blows harder
-and weaker by turns is left over then, and would be told as something without a name, or as a swing of the tip. A gust
-moves each place of the stem by its share of how far the mean wind holds that place aside: Gaussian processes of known
-shapes in time, of a size that comes with the draught.
+A draught in its elastic form (``WIND`` of :mod:`flora_lab.simulator.terms`) explains the mean push. That it blows
+harder and weaker by turns is left over then, and would be told as something without a name, or as a swing of the tip.
+A gust moves each place of the stem by its share of how far the mean wind holds that place aside: Gaussian processes of
+known shapes in time, of a size that comes with the draught.
 """
 
 from __future__ import annotations
