@@ -55,7 +55,7 @@ def _of_means(lag_h: Array, memory_h: float) -> Array:
     whole = WINDOW_H / memory_h
     apart = np.exp(-lag_h / memory_h) * 2.0 * (np.cosh(whole) - 1.0) / whole**2
     same = 2.0 * (whole - 1.0 + np.exp(-whole)) / whole**2
-    return np.where(lag_h < 0.5 * WINDOW_H, same, apart)
+    return np.asarray(np.where(lag_h < 0.5 * WINDOW_H, same, apart))
 
 
 def _held_aside_cm(scene: Scene, found: Found, run: int, every: int | None) -> Array | None:
