@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 
-from flora_common.bus import BusClient
+from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
-from flora_common.messages import Health, LightCommand, Stem, Tick
+from flora_common.messages import Health, LightCommand, Stem, Tick, encode
 
 
 def lines_of(text: str) -> list[dict[str, Any]]:
@@ -265,6 +266,29 @@ def test_replay_does_not_drive_a_living_rig_unasked(live: Any, tmp_path: Path) -
     assert err == (
         "flora-monitor: flora-flash of rig `test` is on this bus and would take the recording for real; "
         "use --rig NEW, or --force\n"
+    )
+
+
+def test_replay_drives_no_rig_of_which_the_bus_does_not_say_whether_it_lives(bus: Any, tmp_path: Path) -> None:
+    from flora_common.recording import RecordingWriter
+
+    light = LightCommand(light="left", source="flora-controller", seq=1)
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    writer.add(Arrival(encode("test", light), "good", "test", light), utc_ns=1, rig="test")
+    file = writer.close()
+    with zmq.Context() as context, context.socket(zmq.XSUB) as hears, context.socket(zmq.XPUB) as says:
+        hears.bind(bus.address.publish)
+        hears.send(b"\x01")
+        says.bind(bus.address.subscribe)  # and stands still, as the bus of a busy machine may for some seconds
+        replay = monitor(bus, "replay", str(file), "--as-fast")
+        while replay.poll() is None:
+            assert not hears.poll(50), "it was said for real"
+        assert not hears.poll(500), "it was said for real"
+    _, err = replay.communicate(timeout=20)
+    assert replay.returncode == 1
+    assert err == (
+        f"flora-monitor: no bus answers at {bus.address.subscribe}, and nobody else says whether rig `test` is alive; "
+        "try again, use --rig NEW, or --force\n"
     )
 
 
