@@ -64,7 +64,7 @@ class Listener:
         self._poller = zmq.Poller()
         self._poller.register(self.client.subscriber, zmq.POLLIN)
         self._poller.register(self.client.publisher, zmq.POLLIN)
-        self._began_s = time.monotonic()
+        self._looked_s, self._waited_s = time.monotonic(), 0.0
         self._connected_s: float | None = None
         self._has_warned = False
         self._is_told = False
@@ -83,13 +83,16 @@ class Listener:
 
     @property
     def waited_s(self) -> float:
-        """Seconds since the start."""
-        return time.monotonic() - self._began_s
+        """Seconds since the start in which it listened: those in which it stood still itself are no silence."""
+        return self._waited_s
 
     def batches(self, *, every_s: float = 0.25) -> Iterator[Batch]:
         """What comes, at least one batch (maybe empty) each ``every_s``; goes on until its caller stops."""
         while True:
             self._poller.poll(round(every_s * 1000))
+            now_s = time.monotonic()
+            self._waited_s += min(now_s - self._looked_s, 2.0 * every_s)
+            self._looked_s = now_s
             was_connected = self.connected
             self.client.handle_publisher()
             heard = self.client.receive_all()
