@@ -78,6 +78,7 @@ class PrivateBus:
         }
         self.processes: list[subprocess.Popen[str]] = []
         self.clients: list[BusClient] = []
+        self._started_ns: dict[str, int] = {}
 
     @property
     def config(self) -> Path:
@@ -89,6 +90,7 @@ class PrivateBus:
     def start(self, command: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
         """A process of ours: an installed command, or a script."""
         program = [sys.executable, command] if command.endswith(".py") else [str(COMMANDS / command)]
+        self._started_ns[command] = SystemClock().mono_ns()
         process = subprocess.Popen(
             [*program, *arguments],
             stdout=subprocess.PIPE,
@@ -130,13 +132,19 @@ class PrivateBus:
         return heard
 
     def wait_ready(self, client: BusClient, *services: str) -> None:
-        """Until each of these says that it is ready."""
+        """Until each of these says that it is ready: the last that was started, not one before it."""
         missing = set(services)
 
         def all_ready(heard: list[Arrival]) -> bool:
             for arrival in heard:
-                if isinstance(arrival.message, Health) and arrival.message.state == "ready":
-                    missing.discard(arrival.message.source)
+                said = arrival.message
+                # What one that was ended had still said may be read only when the next one has been started.
+                if (
+                    isinstance(said, Health)
+                    and said.state == "ready"
+                    and said.t_mono_ns >= self._started_ns.get(said.source, 0)
+                ):
+                    missing.discard(said.source)
             return not missing
 
         self.hear(client, all_ready)

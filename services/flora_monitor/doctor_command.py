@@ -14,7 +14,7 @@ from rich.text import Text
 from flora_common.bus import LATE_FACTOR
 from flora_common.clock import SystemClock
 from flora_common.health import HealthBoard
-from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Listener, hear_health
+from flora_monitor.listen import DOUBTED_AFTER_S, PROGRAM, Listener, hear_health
 from flora_monitor.options import Common, Config, Json, common_options
 from flora_monitor.show import printable
 
@@ -76,7 +76,7 @@ def _heard(common: Common) -> Heard:
             pattern="*",
             limit_s=LATE_FACTOR * rig.health_every_s,
             ends_early=True,
-            give_up_s=NO_BUS_AFTER_S - 0.2,  # the listener would say so itself, and the doctor has a line for it
+            give_up_s=DOUBTED_AFTER_S,
         )
         refusal = listener.client.refusal
     finally:

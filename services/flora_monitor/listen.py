@@ -13,12 +13,15 @@ import zmq
 from flora_common.bus import Arrival, BusClient
 from flora_common.clock import NS, SystemClock
 from flora_common.config import RigSection
+from flora_common.errors import BusUnreachable
 from flora_common.health import HealthBoard
 from flora_common.messages import Health
 from flora_monitor.stats import matches, rig_of, topic_text
 
 NO_BUS_AFTER_S: Final = 2.0
 ANSWER_WITHIN_S: Final = 0.5
+DOUBTED_AFTER_S: Final = NO_BUS_AFTER_S - 0.2
+"""For who has a line of its own for it, before the listener says so."""
 SILENT_AFTER_S: Final = 3.0
 RIGS_WITHIN_S: Final = 2.0
 MOST_RIGS: Final = 10
@@ -61,7 +64,7 @@ class Listener:
         self._poller = zmq.Poller()
         self._poller.register(self.client.subscriber, zmq.POLLIN)
         self._poller.register(self.client.publisher, zmq.POLLIN)
-        self._began_s = time.monotonic()
+        self._looked_s, self._waited_s = time.monotonic(), 0.0
         self._connected_s: float | None = None
         self._has_warned = False
         self._is_told = False
@@ -74,14 +77,22 @@ class Listener:
         return self.client.connected
 
     @property
+    def endpoint(self) -> str:
+        """Where the bus is to answer."""
+        return self._rig.bus_subscribe
+
+    @property
     def waited_s(self) -> float:
-        """Seconds since the start."""
-        return time.monotonic() - self._began_s
+        """Seconds since the start in which it listened: those in which it stood still itself are no silence."""
+        return self._waited_s
 
     def batches(self, *, every_s: float = 0.25) -> Iterator[Batch]:
         """What comes, at least one batch (maybe empty) each ``every_s``; goes on until its caller stops."""
         while True:
             self._poller.poll(round(every_s * 1000))
+            now_s = time.monotonic()
+            self._waited_s += min(now_s - self._looked_s, 2.0 * every_s)
+            self._looked_s = now_s
             was_connected = self.connected
             self.client.handle_publisher()
             heard = self.client.receive_all()
@@ -163,7 +174,7 @@ class Alive:
 
 
 def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_known: bool) -> Alive | None:
-    """A service of one of these rigs that lives, the bus aside; None where none does, or no bus answers.
+    """A service of one of these rigs that lives, the bus aside; None where none does.
 
     What the bus had kept proves nothing: a recording that was played leaves it too. Where there is such a value, a sign
     of life is waited for.
@@ -173,6 +184,9 @@ def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_k
         rigs: their names.
         within_s: how long, after the bus has answered; a living service says something within that time.
         ages_are_known: rig time is this machine's own clock: what is older is no sign of life, and not waited for.
+
+    Raises:
+        BusUnreachable: no bus answers, which may do so, and take what is said to it, a moment later.
     """
     is_doubtful, answered_s = False, None
     for batch in listener.batches(every_s=0.05):
@@ -184,8 +198,8 @@ def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_k
                 age_s = (SystemClock().mono_ns() - said.t_mono_ns) / NS
                 is_doubtful = is_doubtful or not ages_are_known or 0.0 <= age_s <= within_s
         if not listener.connected:
-            if listener.waited_s > NO_BUS_AFTER_S:
-                return None
+            if listener.waited_s >= DOUBTED_AFTER_S:
+                raise BusUnreachable(listener.client.refusal or f"no bus answers at {listener.endpoint}")
             continue
         if answered_s is None:
             answered_s = batch.real_s

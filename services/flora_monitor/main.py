@@ -18,7 +18,7 @@ from rich.live import Live
 from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
-from flora_common.errors import BadInput, DiskFull, StoreError
+from flora_common.errors import BadInput, BusUnreachable, DiskFull, StoreError
 from flora_common.health import HealthBoard
 from flora_common.outputs import can_be_made
 from flora_common.recording import RecordingWriter
@@ -330,6 +330,12 @@ def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
     try:
         period_s, is_here = common.rig.health_every_s, common.rig.has_own_clock
         alive = hear_life(listener, rigs, within_s=LATE_FACTOR * period_s, ages_are_known=is_here)
+    except BusUnreachable as problem:
+        # The player has found one that hears: what it plays would be taken by whoever lives there.
+        which = ", ".join(f"`{name}`" for name in sorted(rigs))
+        raise BusUnreachable(
+            f"{problem}, and nobody else says whether rig {which} is alive; try again, use --rig NEW, or --force"
+        ) from problem
     finally:
         listener.close()
     if alive is not None:

@@ -20,6 +20,7 @@ from flora_common.recording_reader import Recorded, RecordingReader
 from flora_monitor.stats import matches
 
 BUS_TIMEOUT_S: Final = 2.0
+POLL_MS: Final = 100
 FLUSH_TIMEOUT_MS: Final = 10_000
 LONGEST_PAUSE_S: Final = 1800.0
 """Real seconds that are waited for at most between two messages; what is longer is passed over."""
@@ -57,7 +58,8 @@ class Player:
         prepare_to_connect(self._socket, address.publish, address.keys)
         handshakes = Handshakes([(self._socket, address.publish)], address.keys)
         connect(self._socket, address.publish)
-        is_there = bool(self._socket.poll(round(BUS_TIMEOUT_S * 1000)))
+        # In pieces: while this process itself stood still, stopped or on a busy machine, nobody was waited for.
+        is_there = any(self._socket.poll(POLL_MS) for _ in range(round(BUS_TIMEOUT_S * 1000 / POLL_MS)))
         handshakes.tend()
         handshakes.close()
         if not is_there:

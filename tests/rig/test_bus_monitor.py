@@ -6,15 +6,19 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 
-from flora_common.bus import BusClient
+from flora_common.bus import Arrival, BusClient
 from flora_common.clock import SystemClock
-from flora_common.messages import Health, LightCommand, Stem, Tick
+from flora_common.messages import Health, LightCommand, Stem, Tick, encode
+from flora_monitor.tape import BUS_TIMEOUT_S
 
 
 def lines_of(text: str) -> list[dict[str, Any]]:
@@ -73,7 +77,9 @@ def test_tail_on_a_terminal_is_one_coloured_line_a_message(live: Any) -> None:
         )
         live.processes.append(process)
         process.communicate(timeout=20)
-        shown = os.read(main, 65536).decode()
+        shown = ""
+        while not shown.endswith("\n"):  # a terminal hands over what was written piece by piece
+            shown += os.read(main, 65536).decode()
     finally:
         os.close(main)
         os.close(terminal)
@@ -266,6 +272,47 @@ def test_replay_does_not_drive_a_living_rig_unasked(live: Any, tmp_path: Path) -
         "flora-monitor: flora-flash of rig `test` is on this bus and would take the recording for real; "
         "use --rig NEW, or --force\n"
     )
+
+
+def test_replay_drives_no_rig_of_which_the_bus_does_not_say_whether_it_lives(bus: Any, tmp_path: Path) -> None:
+    from flora_common.recording import RecordingWriter
+
+    light = LightCommand(light="left", source="flora-controller", seq=1)
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    writer.add(Arrival(encode("test", light), "good", "test", light), utc_ns=1, rig="test")
+    file = writer.close()
+    with zmq.Context() as context, context.socket(zmq.XSUB) as hears, context.socket(zmq.XPUB) as says:
+        hears.bind(bus.address.publish)
+        hears.send(b"\x01")
+        says.bind(bus.address.subscribe)  # and stands still, as the bus of a busy machine may for some seconds
+        replay = monitor(bus, "replay", str(file), "--as-fast")
+        while replay.poll() is None:
+            assert not hears.poll(50), "it was said for real"
+        assert not hears.poll(500), "it was said for real"
+    _, err = replay.communicate(timeout=20)
+    assert replay.returncode == 1
+    assert err == (
+        f"flora-monitor: no bus answers at {bus.address.subscribe}, and nobody else says whether rig `test` is alive; "
+        "try again, use --rig NEW, or --force\n"
+    )
+
+
+def test_a_replay_that_stood_still_while_it_looked_for_the_bus_looks_on(bus: Any, tmp_path: Path) -> None:
+    door_file = Path(bus.address.publish.removeprefix("ipc://"))
+    with socket.socket(socket.AF_UNIX) as door:
+        door.bind(str(door_file))
+        door.listen()
+        door.settimeout(20.0)
+        replay = monitor(bus, "replay", str(recording(tmp_path)), "--rig", "other")
+        with door.accept()[0]:
+            replay.send_signal(signal.SIGSTOP)  # as on a busy machine
+    door_file.unlink()
+    bus.start_service("flora-bus")
+    bus.client()
+    time.sleep(BUS_TIMEOUT_S)
+    replay.send_signal(signal.SIGCONT)
+    _, err = replay.communicate(timeout=20)
+    assert replay.returncode == 0, err
 
 
 def test_what_a_replay_left_at_the_bus_is_no_living_rig(live: Any, tmp_path: Path) -> None:

@@ -53,6 +53,13 @@ def children_of(process: subprocess.Popen[str]) -> list[int]:
     return [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
 
 
+def has_ended(pid: int) -> bool:
+    try:
+        return "Z (" in Path(f"/proc/{pid}/status").read_text()
+    except OSError:  # it may go at any moment, between opening and reading too
+        return True
+
+
 def until(condition: Callable[[], bool]) -> None:
     end_s = time.monotonic() + 10.0
     while not condition():
@@ -139,7 +146,7 @@ def test_a_camera_process_does_not_outlive_a_killed_service(bus: Any, box: FakeB
     (camera,) = children_of(capture)
     capture.kill()
     capture.wait()
-    until(lambda: not Path(f"/proc/{camera}").exists() or "Z (" in Path(f"/proc/{camera}/status").read_text())
+    until(lambda: has_ended(camera))
     bus.start_service("flora-capture")
     bus.wait_ready(client, "flora-capture")
     client.publish(Flash(tick=2, lit=True, confirmed=True, time_s=300.0))

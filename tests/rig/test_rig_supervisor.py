@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -187,9 +188,46 @@ def test_what_a_dead_service_leaves_running_goes_with_it(supervisor: Supervisor,
     supervisor.start("a", python(code + READY))
     supervisor.kill("a")
     child = Path("/proc") / pid_file.read_text() / "cmdline"
-    wait_until(
-        lambda: not child.exists() or child.read_bytes() == b"", within_s=10.0, poll=supervisor.poll, what="its end"
-    )
+
+    def has_ended() -> bool:
+        try:
+            return child.read_bytes() == b""
+        except OSError:  # it may have gone at any moment
+            return True
+
+    wait_until(has_ended, within_s=10.0, poll=supervisor.poll, what="its end")
+
+
+STRUCK = """
+import os, signal, sys
+from pathlib import Path
+from flora_twin.rig import supervisor
+
+class Late:
+    def prctl(self, *arguments):
+        os.kill(os.getppid(), signal.SIGKILL)
+        while os.getppid() == parent:
+            pass
+        libc.prctl(*arguments)
+
+parent, libc, supervisor._LIBC = os.getpid(), supervisor._LIBC, Late()
+supervisor.Supervisor(Path(sys.argv[1]), Path(sys.argv[1])).launch("a", ["sh", "-c", sys.argv[2]])
+"""
+
+
+def test_what_is_being_started_while_the_supervisor_is_killed_is_not_begun(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    with tempfile.TemporaryDirectory(prefix="flora-") as sockets:
+        program = [sys.executable, "-c", STRUCK, sockets, f"echo $$ > {begun}; exec sleep 600"]
+        struck = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        struck.communicate(timeout=20.0)
+        assert struck.returncode == -signal.SIGKILL
+        end_s = time.monotonic() + 1.0
+        while not begun.exists() and time.monotonic() < end_s:
+            time.sleep(0.01)
+    if begun.exists():
+        os.kill(int(begun.read_text()), signal.SIGKILL)
+        pytest.fail("it would have run for ever")
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
@@ -237,8 +275,13 @@ def test_bad_demo_arguments_end_with_one_line_and_status_2(
     assert time.monotonic() - began_s < 30.0
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_a_demo_that_is_ended_leaves_no_process_behind(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "is_in_setup_run"),
+    [(signal.SIGTERM, False), (signal.SIGHUP, False), (signal.SIGKILL, False), (signal.SIGKILL, True)],
+)
+def test_a_demo_that_is_ended_leaves_no_process_behind(
+    tmp_path: Path, number: signal.Signals, *, is_in_setup_run: bool
+) -> None:
     demo = subprocess.Popen(
         [command("flora-twin"), "demo", "--out", str(tmp_path / "out"), "--quiet"],
         stdout=subprocess.DEVNULL,
@@ -254,8 +297,11 @@ def test_a_demo_that_is_ended_leaves_no_process_behind(tmp_path: Path, number: s
                     found.append(file)
         return found
 
+    def is_begun() -> bool:
+        return any(tmp_path.glob("**/background/*.jpg")) if is_in_setup_run else len(mine()) >= 9
+
     try:
-        wait_until(lambda: len(mine()) >= 9, within_s=30.0, poll=lambda: None, what="the rig")
+        wait_until(is_begun, within_s=60.0, poll=lambda: None, what="the rig")
         demo.send_signal(number)
         demo.wait(30.0)
         wait_until(lambda: not mine(), within_s=30.0, poll=lambda: None, what="the end of all")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import pytest
 import zmq
 
 from flora_bus.broker import Broker
-from flora_common.bus import BusAddress
+from flora_common.bus import BusAddress, BusClient
+from flora_common.clock import SystemClock
 from flora_common.config import RigSection
 from flora_monitor import listen
 from flora_monitor.listen import Listener, rigs_on
+from flora_monitor.stats import rig_of
 
 
 @pytest.fixture
@@ -67,12 +70,17 @@ def test_a_bus_without_messages_is_told_once(
 def test_a_rig_by_a_message_that_cannot_be_read_is_a_rig_too(
     rig: RigSection, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    loud = Listener(rig)
-    turns(loud, 2)
-    for number in range(listen.MOST_RIGS + 2):
-        # A kept kind, and a payload that only its receivers find wrong.
-        loud.client.publisher.send_multipart([f"box{number:02}/tick".encode(), b"\xc1", b"0"])
-    turns(loud, 10)
+    loud = BusClient(rig.bus, rig="test", source="loud", clock=SystemClock())
+    loud.subscribe_prefixes(b"")
+    loud.connect()
+    heard_of: set[str] = set()
+    while len(heard_of) < listen.MOST_RIGS + 2:
+        loud.subscriber.poll(50)
+        loud.handle_publisher()
+        heard_of |= {rig_of(arrival) for arrival in loud.receive_all()}
+        for number in range(listen.MOST_RIGS + 2 if loud.connected else 0):
+            # A kept kind, and a payload that only its receivers find wrong.
+            loud.publisher.send_multipart([f"box{number:02}/tick".encode(), b"\xc1", b"0"])
     listener = Listener(rig, only_rig="nosuch")
     turns(listener, 20)
     shown = ", ".join(f"box{number:02}" for number in range(listen.MOST_RIGS))
@@ -84,6 +92,20 @@ def test_a_rig_by_a_message_that_cannot_be_read_is_a_rig_too(
     assert capsys.readouterr().err == ""
     for one in (loud, listener, heard):
         one.close()
+
+
+def test_while_the_monitor_itself_stood_still_it_waited_for_no_bus(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listen, "NO_BUS_AFTER_S", 0.5)
+    nobody = RigSection(bus_publish=f"ipc://{tmp_path}/p", bus_subscribe=f"ipc://{tmp_path}/s")
+    listener = Listener(nobody)
+    time.sleep(0.6)  # stopped, or on a busy machine
+    turns(listener, 2)
+    assert capsys.readouterr().err == ""  # it may answer at once
+    turns(listener, 20)
+    listener.close()
+    assert capsys.readouterr().err == f"flora-monitor: no bus answers at ipc://{tmp_path}/s; waiting for it\n"
 
 
 def test_without_a_bus_a_command_that_ends_says_so_instead_of_waiting(

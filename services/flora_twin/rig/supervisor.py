@@ -197,7 +197,7 @@ class Supervisor:
                 stderr=log,
                 env=environment,
                 start_new_session=True,
-                preexec_fn=_end_with_parent,  # noqa: PLW1509 - the supervisor has one thread
+                preexec_fn=end_with_parent(),  # noqa: PLW1509 - the supervisor has one thread
             )
 
     def _hear(self, child: Child, now_s: float) -> None:
@@ -250,9 +250,16 @@ def _end(process: subprocess.Popen[bytes]) -> int:
         return process.wait()
 
 
-def _end_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the supervisor dies, however it does: a rig without one would run for ever."""
-    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+def end_with_parent() -> Callable[[], None]:
+    """What a child is to do first: a rig without its supervisor, however that died, would run for ever."""
+    parent_pid = os.getpid()
+
+    def ask() -> None:
+        _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent_pid:  # it has died before the kernel was asked to tell
+            os._exit(1)
+
+    return ask
 
 
 def _end_group(leader_pid: int) -> None:

@@ -33,7 +33,7 @@ from flora_common.messages import (
 )
 from flora_common.twin_link import TwinLink
 from flora_twin.rig.layout import Layout, remove_sockets
-from flora_twin.rig.supervisor import ServiceFailed, Supervisor, wait_until
+from flora_twin.rig.supervisor import ServiceFailed, Supervisor, end_with_parent, wait_until
 
 BOX: Final = "flora-twin"
 BUS: Final = "flora-bus"
@@ -199,7 +199,13 @@ class VirtualRig:
         """
         argv = [command("flora-stem"), "calibrate", "--config", str(self.layout.config), "--wait"]
         with (self.layout.logs / "calibrate.log").open("ab") as log:
-            setup = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log)
+            setup = subprocess.Popen(
+                argv,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                preexec_fn=end_with_parent(),  # noqa: PLW1509 - as the supervisor's
+            )
         assert setup.stdin is not None
         assert setup.stdout is not None
         try:
