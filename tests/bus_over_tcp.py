@@ -17,17 +17,6 @@ from flora_common.clock import SystemClock
 from flora_common.messages import Tick
 
 
-def free_ports(count: int) -> list[int]:
-    """Ports of 127.0.0.1 that were free just now."""
-    sockets = [socket.socket() for _ in range(count)]
-    for each in sockets:
-        each.bind(("127.0.0.1", 0))
-    ports = [int(each.getsockname()[1]) for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports
-
-
 class NetworkBus:
     """The rig's own services by ``ipc://``, as ever; others at two ports, with keys.
 
@@ -40,7 +29,7 @@ class NetworkBus:
         self.folder: Path = bus.folder / "rig-keys"
         make_pair(self.folder, BUS)
         self.authorized = make_authorized(self.folder)
-        self.ports = free_ports(2)
+        self.ports: list[int] = bus.free_ports(2)
         self.address = BusAddress(*(f"tcp://127.0.0.1:{port}" for port in self.ports))
         bus.sections["rig"]["bus_keys"] = str(self.folder)
         bus.sections["bus"] = {"network_publish": self.address.publish, "network_subscribe": self.address.subscribe}

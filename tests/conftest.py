@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -78,6 +79,7 @@ class PrivateBus:
         }
         self.processes: list[subprocess.Popen[str]] = []
         self.clients: list[BusClient] = []
+        self._reserved: list[socket.socket] = []
         self._started_ns: dict[str, int] = {}
 
     @property
@@ -86,6 +88,16 @@ class PrivateBus:
         path = self.folder / "flora.toml"
         path.write_text(tomli_w.dumps(self.sections), encoding="utf-8")
         return path
+
+    def free_ports(self, count: int) -> list[int]:
+        """Ports of 127.0.0.1 that nobody is given before the test has ended; whoever names one may listen there."""
+        reserved = [socket.socket() for _ in range(count)]
+        self._reserved += reserved
+        for each in reserved:
+            # Bound until then, never listening: with this option on both sides a listener gets the port all the same.
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            each.bind(("127.0.0.1", 0))
+        return [int(each.getsockname()[1]) for each in reserved]
 
     def start(self, command: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
         """A process of ours: an installed command, or a script."""
@@ -167,6 +179,8 @@ class PrivateBus:
             if process.poll() is None:
                 process.kill()
             process.communicate()
+        for reserved in self._reserved:
+            reserved.close()
 
 
 @pytest.fixture

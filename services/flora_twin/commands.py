@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
 from collections.abc import Sequence
@@ -84,16 +83,11 @@ def serve_world(
     cv2.setNumThreads(1)  # the other services need the other cores
     start_utc_ns = parse_start(section.start) if section.start else time.time_ns()
     folder, where = state_dir or Path(rig.state_dir) / "twin", address or rig.clock.twin
-    with contextlib.ExitStack() as held:
-        # A wrong address leaves no folder behind. Where there is one, the address may be its world's, which keeps it.
-        # Bound once: who connected to an address that is bound for a moment only has lost what it asked.
-        if folder.exists():
-            held.enter_context(only_one(folder))
-            router = held.enter_context(bound(where))
-        else:
-            can_be_made(folder, "--state-dir")
-            router = held.enter_context(bound(where))
-            held.enter_context(only_one(folder))
+    if not folder.exists():
+        can_be_made(folder, "--state-dir")
+    # The folder first: whoever binds an ipc address takes it away from a world that is there. And bound once: who
+    # connected to an address that is bound for a moment only has lost what it asked.
+    with only_one(folder), bound(where) as router:
         world = World(section.seed, planted=section.planted)
         server = WorldServer(world, folder, start_utc_ns=start_utc_ns, rate=section.rate, monotonic_s=time.monotonic)
         serve(server, router)

@@ -15,7 +15,7 @@ import json
 import logging
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
@@ -36,6 +36,7 @@ from flora_twin.world import World
 CHECKPOINT: Final = "world.npz"
 START_FILE: Final = "start.json"
 TRUTH: Final = "truth.jsonl"
+LOCK_FILE: Final = "lock"
 MAX_REQUEST_BYTES: Final = 1 << 16
 MAX_RATE: Final = 10_000.0
 _CATCH_UP_MS: Final = 1000
@@ -327,16 +328,34 @@ def _stop_signals() -> Iterator[socket.socket]:
 def only_one(state_dir: Path) -> Iterator[None]:
     """Hold the state folder: two worlds must not write one checkpoint.
 
+    One that was made here goes again where bad input ends the block before anything is in it.
+
     Raises:
         BadInput: another process holds it.
     """
+    made = [folder for folder in (state_dir, *state_dir.parents) if not folder.exists()]
     files.make_folder(state_dir)
-    with (state_dir / "lock").open("w") as lock:
+    with (state_dir / LOCK_FILE).open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as problem:
             raise BadInput(f"{state_dir}: another flora-twin uses this folder; end it or choose another") from problem
-        yield
+        try:
+            yield
+        except BadInput:
+            if made:
+                _unmake(made)
+            raise
+
+
+def _unmake(folders: Sequence[Path]) -> None:
+    """Remove the state folder, and those that were made for it, unless there is more than the lock in them."""
+    state_dir = folders[0]
+    with contextlib.suppress(OSError):
+        if [entry.name for entry in state_dir.iterdir()] == [LOCK_FILE]:
+            (state_dir / LOCK_FILE).unlink()
+            for folder in folders:
+                folder.rmdir()
 
 
 def _read_start(path: Path, start_utc_ns: int) -> int:

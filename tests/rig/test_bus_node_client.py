@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -16,31 +17,35 @@ from flora_common.files import sha256_of_file
 from flora_common.messages import Stem
 
 CLIENT = Path(__file__).parents[1] / "clients" / "node"
+FILES = ("package.json", "read_stems.mjs")
 INSTALL_TIMEOUT_S = 45
 
 
 def installed() -> Path:
-    """The client with its packages, in a folder outside the tree; used again as long as its package.json holds."""
+    """The client with its packages, in a folder outside the tree; used again as long as its files hold."""
     for program in ("node", "npm"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
-    version = sha256_of_file(CLIENT / "package.json")[:12]
+    version = "-".join(sha256_of_file(CLIENT / name)[:12] for name in FILES)
     folder = Path(tempfile.gettempdir()) / f"flora-node-client-{os.getuid()}-{version}"
-    if not (folder / "installed").exists():
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(mode=0o700)
-        shutil.copy(CLIENT / "package.json", folder)
+    if not folder.exists():
+        # In a folder of its own, which then takes the name: other tests of the same user may be at the same.
+        made = Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
+        for name in FILES:
+            shutil.copy(CLIENT / name, made)
         command = ["npm", "install", "--no-audit", "--no-fund", "--no-package-lock", "--loglevel=error"]
         try:
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S)
+            done = subprocess.run(command, cwd=made, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S)
+            if done.returncode != 0:
+                pytest.skip(f"npm could not install the packages: {done.stderr.strip()[-300:]}")
+            with contextlib.suppress(OSError):  # somebody was faster
+                made.rename(folder)
         except subprocess.TimeoutExpired:
             pytest.skip(f"npm did not finish in {INSTALL_TIMEOUT_S} s")
-        if done.returncode != 0:
-            pytest.skip(f"npm could not install the packages: {done.stderr.strip()[-300:]}")
-        (folder / "installed").touch()
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
     if folder.stat().st_uid != os.getuid():
         pytest.skip(f"{folder} belongs to somebody else")
-    shutil.copy(CLIENT / "read_stems.mjs", folder)
     return folder
 
 

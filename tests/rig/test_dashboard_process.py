@@ -27,9 +27,7 @@ class Page:
     """What a browser asks of it."""
 
     def __init__(self, bus: Any) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        (self.port,) = bus.free_ports(1)
         bus.sections["dashboard"] = {"port": self.port}
 
     def get(self, path: str) -> bytes:

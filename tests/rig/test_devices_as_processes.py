@@ -81,7 +81,7 @@ def test_flash_lights_and_every_end_is_dark(bus: Any, box: FakeBox, client: BusC
     flash.wait()
     assert box.flash  # nobody could help it: this is what ExecStopPost is for
     dark = bus.start_service("flora-flash", "--dark")
-    assert dark.wait(10.0) == 0
+    assert dark.wait(20.0) == 0
     assert not box.flash
 
 
@@ -101,7 +101,7 @@ def test_led_shines_as_told_and_every_end_is_dark(bus: Any, box: FakeBox, client
     led.wait()
     assert any(box.grb)
     dark = bus.start_service("flora-led", "--dark")
-    assert dark.wait(10.0) == 0
+    assert dark.wait(20.0) == 0
     assert box.grb == bytes(864)
 
 
@@ -172,7 +172,7 @@ def test_the_three_together_in_lock_step(bus: Any, box: FakeBox, client: BusClie
 def test_a_misspelt_key_is_one_line_and_status_2(bus: Any, box: FakeBox, command: str) -> None:
     bus.sections[command.removeprefix("flora-")] = {"backent": "virtual"}
     process = bus.start_service(command, "--check-config")
-    out, err = process.communicate(timeout=10.0)
+    out, err = process.communicate(timeout=20.0)
     assert (process.returncode, out) == (2, "")
     assert err.count("\n") == 1
     assert "did you mean `backend`" in err
@@ -182,6 +182,6 @@ def test_a_misspelt_key_is_one_line_and_status_2(bus: Any, box: FakeBox, command
 def test_no_run_folder_is_one_line_and_status_2(bus: Any, box: FakeBox, command: str) -> None:
     (bus.run_dir / "run.toml").unlink()
     process = bus.start_service(command)
-    _, err = process.communicate(timeout=10.0)
+    _, err = process.communicate(timeout=20.0)
     assert process.returncode == 2
     assert err.splitlines()[-1].endswith("not a run folder, it has no run.toml")

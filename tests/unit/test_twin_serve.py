@@ -206,6 +206,27 @@ def test_a_box_binds_its_address_once_so_that_nobody_who_waits_for_it_loses_a_qu
     assert (tmp_path / "state" / CHECKPOINT).is_file()
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_of_two_boxes_that_begin_at_once_only_the_one_that_has_the_folder_takes_the_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, there: bool
+) -> None:
+    folder, taken = tmp_path / "state", []
+
+    def looked(address: str) -> contextlib.AbstractContextManager[zmq.Socket[bytes]]:
+        with pytest.raises(BadInput, match="another flora-twin uses this folder"), only_one(folder):
+            pass
+        taken.append(address)
+        return bound(address)
+
+    monkeypatch.setattr(commands, "bound", looked)
+    monkeypatch.setattr(commands, "serve", lambda server, router: server.save())
+    if there:
+        folder.mkdir()
+    where = f"ipc://{tmp_path}/world.sock"
+    assert main(["serve", "--address", where, "--state-dir", str(folder)]) == 0
+    assert taken == [where]
+
+
 def test_a_second_process_leaves_the_first_its_address(tmp_path: Path, serve: Callable[[], Process]) -> None:
     first = serve()
     now = first.ask("now")

@@ -19,6 +19,7 @@ from flora_common.config import RigSection
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import write_bytes
 from flora_common.messages import Stored
+from flora_common.notify import Notifier
 from flora_uploader import actions, reserve
 from flora_uploader.config import SWITCHED_OFF, UploaderSection
 from flora_uploader.ledger import FILE_NAME, RESERVE_NAME, Ledger, _lock
@@ -38,6 +39,7 @@ class App(FakeApp):
             target=str(target), marker="", stop_within_s=stop_within_s, runs_dir=runs_dir, scan_every_s=0.1
         )
         super().__init__(folder, section)
+        self.notifier = Notifier({})
         self.rig = RigSection(run_dir=str(self.run.path), state_dir=str(self.state_dir))
         self.states: list[tuple[str, str]] = []
 
