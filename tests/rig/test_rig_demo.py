@@ -10,10 +10,14 @@ import pytest
 from flora_common.runs import RunFolder
 from flora_common.tracks import read_track
 from flora_twin.main import main
+from flora_twin.rig import experiment
 from flora_twin.rig.truth import check_truth
 
 
-def test_the_demo_ends_with_a_result_to_look_at(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_ends_with_a_result_to_look_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "DASHBOARD_PORT", 0)  # the usual one may be wanted by a rig of this machine
     out = tmp_path / "out"
     arguments = ["demo", "--out", str(out), "--hours", "1", "--seed", "4", "--quiet"]
     assert main([*arguments, "--fault", "service_killed@0.5h=flora-led"]) == 0

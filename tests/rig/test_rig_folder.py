@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +104,21 @@ def test_the_lock_outlives_the_rig_that_is_replaced_and_ends_with_its_process(tm
     sockets.rmdir()
     with claimed(tmp_path, DEMO) as root:
         assert {entry.name for entry in root.iterdir()} >= {MARKER, LOCK_FILE}
+
+
+def test_of_two_demos_that_begin_at_once_each_has_a_page_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    with contextlib.ExitStack() as usual:
+        monkeypatch.setattr(experiment, "DASHBOARD_PORT", 0)
+        free = experiment.take_port(usual)
+    monkeypatch.setattr(experiment, "DASHBOARD_PORT", free)
+    with contextlib.ExitStack() as first, contextlib.ExitStack() as second:
+        ports = [experiment.take_port(held) for held in (first, second)]
+        assert ports[0] == free
+        assert ports[1] != free
+        for port in ports:
+            socket.create_server(("127.0.0.1", port)).close()  # as the page does
+    with contextlib.ExitStack() as third:
+        assert experiment.take_port(third) == free
 
 
 def test_other_work_in_the_folder_is_left_alone(tmp_path: Path) -> None:

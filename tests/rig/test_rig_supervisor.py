@@ -283,7 +283,7 @@ def test_a_demo_that_is_ended_leaves_no_process_behind(
     tmp_path: Path, number: signal.Signals, *, is_in_setup_run: bool
 ) -> None:
     demo = subprocess.Popen(
-        [command("flora-twin"), "demo", "--out", str(tmp_path / "out"), "--quiet"],
+        [command("flora-twin"), "demo", "--out", str(tmp_path / "out"), "--quiet", "--no-dashboard"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

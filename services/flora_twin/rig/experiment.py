@@ -120,10 +120,12 @@ def run_experiment(asked: Experiment, console: Console) -> tuple[dict[str, Any],
 
 
 def _run_in(root: Path, asked: Experiment, console: Console) -> tuple[dict[str, Any], Outcome]:
-    port = _free_port() if asked.dashboard else None
-    layout = _make_rig(root, asked, port)
-    began_s = time.monotonic()
-    with VirtualRig(layout, seed=asked.seed, rate=asked.rate) as rig, _polite_end(rig):
+    with contextlib.ExitStack() as held:
+        port = take_port(held) if asked.dashboard else None
+        layout = _make_rig(root, asked, port)
+        began_s = time.monotonic()
+        rig = held.enter_context(VirtualRig(layout, seed=asked.seed, rate=asked.rate))
+        held.enter_context(_polite_end(rig))
         if not asked.quiet:
             console.print("starting box, bus and services", style="dim")
         rig.start(SERVICES if port is None else (*SERVICES, DASHBOARD))
@@ -184,15 +186,27 @@ def _make_rig(root: Path, asked: Experiment, port: int | None) -> Layout:
     return layout
 
 
-def _free_port() -> int:
-    """The usual port of the page, or any where somebody else has it: several demos may run on one machine."""
+def take_port(held: contextlib.ExitStack) -> int:
+    """The usual port of the page, or any where somebody else has it: several demos may run on one machine.
+
+    Args:
+        held: what keeps others away until the page has ended. Of two demos that begin at once one would find the usual
+            port free that the other's page, some seconds later, has; any other one might be given away meanwhile.
+
+    Raises:
+        ServiceFailed: there is none.
+    """
     for port in (DASHBOARD_PORT, 0):
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.setsockopt(
-                socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
-            )  # as the page's own: who has just left is no bar
-            probe.bind(("127.0.0.1", port))
-            return int(probe.getsockname()[1])
+        with contextlib.ExitStack() as tried, contextlib.suppress(OSError):
+            if port:
+                mark = tried.enter_context(socket.socket(socket.AF_UNIX))
+                mark.bind(f"\0flora-page-{port}")  # in no folder, and gone with its process
+            # Bound as the page binds: who has just left it is no bar, nor is this one, which does not listen.
+            reserved = tried.enter_context(socket.socket())
+            reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            reserved.bind(("127.0.0.1", port))
+            held.enter_context(tried.pop_all())
+            return int(reserved.getsockname()[1])
     raise ServiceFailed("no port of 127.0.0.1 is free for the page; --no-dashboard does without")
 
 
