@@ -15,7 +15,7 @@ from flora_lab.diagnose.explanation import SWING, Accepted, Explanation, Stage, 
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
-from flora_lab.diagnose.rhythm import Swing
+from flora_lab.diagnose.rhythm import Spectrum, Swing
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.diagnose.unnamed import Unnamed, unnamed
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -95,13 +95,7 @@ class Explainer:
         while len(stages) <= MOST_CAUSES:
             stage = self._settled(reached.joint, reached.found, reached.swing, _RESTARTS if not stages else 1)
             reached = replace(reached, found=stage.before)
-            further: _Reached | None = None
-            while further is None and self._is_worth_taking(stage, reached.accepted):
-                taken = self._with_the_best(reached, stage)
-                if isinstance(taken, Stage):
-                    stage = taken
-                else:
-                    further = taken
+            stage, further = self._further(reached, stage)
             stages.append(stage)
             if further is None:
                 break
@@ -117,6 +111,20 @@ class Explainer:
         if len(accepted) == MOST_CAUSES:
             return False
         return stage.tried[0].gain >= self._needed(stage, accepted) and not self._is_outdone(stage, accepted)
+
+    def _further(self, reached: _Reached, stage: Stage) -> tuple[Stage, _Reached | None]:
+        """The stage with what its causes come to where they were weighed, and what the first that is worth it leads to.
+
+        Each is weighed once: one that displaces others may be asked for more than it was chosen by.
+        """
+        weighed: set[str] = set()
+        while self._is_worth_taking(stage, reached.accepted) and stage.tried[0].effect.name not in weighed:
+            weighed.add(stage.tried[0].effect.name)
+            taken = self._with_the_best(reached, stage)
+            if isinstance(taken, _Reached):
+                return stage, taken
+            stage = taken
+        return stage, None
 
     def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | Stage:
         """With the best cause of a stage besides; where it comes to too little about the plants that have it, that
@@ -285,11 +293,8 @@ class Explainer:
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
-        left, expected = [], []
-        for i, scene in enumerate(self.scenes):
-            rest, moved = spectra_of(scene, before, i)
-            left.append(rest)
-            expected.append(self.known.swings.expectations(moved) + gusts.power(scene, before, i, rest))
+        fast = (self._fast(scene, before, i) for i, scene in enumerate(self.scenes))
+        left, expected = zip(*fast, strict=True)
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
@@ -300,10 +305,13 @@ class Explainer:
         total = 0.0
         for i, scene in enumerate(self.scenes):
             for found, sign in ((before, 1.0), (after, -1.0)):
-                rest, moved = spectra_of(scene, found, i)
-                usual = self.known.swings.expectations(moved) + gusts.power(scene, found, i, rest)
-                total += sign * rhythm.improbability(rest, usual)
+                total += sign * rhythm.improbability(*self._fast(scene, found, i))
         return total
+
+    def _fast(self, scene: Scene, found: Found, run: int) -> tuple[Spectrum, Array]:
+        """The spectrum of what a fit leaves of a run's tip, and its expectations where nothing swings, shape (4, n)."""
+        rest, moved = spectra_of(scene, found, run)
+        return rest, self.known.swings.expectations(moved) + gusts.power(scene, found, run, rest)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
