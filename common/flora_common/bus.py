@@ -290,6 +290,16 @@ class BusClient:
         """Why a bus over TCP does not let us in, in a sentence; empty where it does, or where nobody is there."""
         return self._handshakes.problem
 
+    @property
+    def patience_s(self) -> float:
+        """Seconds from the start for which the bus's answer is to be waited for, as things look now."""
+        return self._handshakes.patience_s
+
+    @property
+    def hindrance(self) -> str:
+        """Where the bus has not answered: why, in a sentence; empty where nobody listens."""
+        return self._handshakes.hindrance
+
     def publish(self, message: Message) -> None:
         """Fill in the envelope, pack, and only then send: a message that cannot be packed leaves no half behind."""
         spec = spec_of(type(message))

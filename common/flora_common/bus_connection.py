@@ -28,10 +28,15 @@ RETRY_S: Final = 2.0
 SILENT_TIMES: Final = 3
 """Broken off without a word so often in a row, it is no bus that was just being stopped."""
 
+NO_BUS_AFTER_S: Final = 2.0
+STILL_AFTER_S: Final = 10.0
+"""Seconds that whoever looks for the bus waits where nobody listens, and where somebody does who says nothing yet: on a
+busy machine the bus may stand still for some seconds."""
+
 _IN_PROCESS: Final = "inproc:"
 _EVENT: Final = struct.Struct("=hi")
 _REFUSED: Final = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-_LIFE: Final = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED
+_LIFE: Final = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED
 _WATCHED: Final = _REFUSED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | _LIFE
 
 
@@ -75,18 +80,21 @@ class _Watched:
     """One socket that connects to one endpoint.
 
     Attributes:
+        endpoint: where it connects to.
+        is_met: somebody listens there, whether or not a word was said yet.
         is_up: whether it is connected; ZeroMQ itself keeps what waits for a bus that has gone, and says nothing of it.
         problem: why the bus does not let us in.
     """
 
     def __init__(self, socket: zmq.Socket[bytes], endpoint: str, *, has_keys: bool) -> None:
         self._socket = socket
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._has_keys = has_keys
         self._silences = 0
         self._retry_at_s: float | None = None
         # Within a machine nobody is refused.
         self.monitor: zmq.Socket[Any] = socket.get_monitor_socket(_WATCHED if is_tcp(endpoint) else _LIFE)
+        self.is_met = False
         self.is_up = False
         self.problem = ""
 
@@ -99,14 +107,17 @@ class _Watched:
             self._take(_EVENT.unpack(parts[0])[0], now_s)
         if self._retry_at_s is not None and now_s >= self._retry_at_s:
             self._retry_at_s = None
-            self._socket.disconnect(self._endpoint)
-            self._socket.connect(self._endpoint)
+            self._socket.disconnect(self.endpoint)
+            self._socket.connect(self.endpoint)
 
     def close(self) -> None:
         self._socket.disable_monitor()
         self.monitor.close(linger=0)
 
     def _take(self, event: int, now_s: float) -> None:
+        self.is_met = event in (zmq.EVENT_CONNECTED, zmq.EVENT_HANDSHAKE_SUCCEEDED)
+        if event == zmq.EVENT_CONNECTED:
+            return
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self.problem, self._silences, self.is_up = "", 0, True
         elif event == zmq.EVENT_DISCONNECTED:
@@ -114,13 +125,13 @@ class _Watched:
         elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
             self._silences += 1
             if self._silences >= SILENT_TIMES:
-                self.problem = f"what listens at {self._endpoint} breaks off: {self._why_silent()}"
+                self.problem = f"what listens at {self.endpoint} breaks off: {self._why_silent()}"
         else:
             self._retry_at_s, self._silences = now_s + RETRY_S, 0
             is_unknown = event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
             why = f"put its client.pub into {AUTHORIZED}/ there" if is_unknown else self._why_unlike()
             whom = "does not know this machine" if is_unknown else "speaks otherwise"
-            self.problem = f"the bus at {self._endpoint} {whom}: {why}"
+            self.problem = f"the bus at {self.endpoint} {whom}: {why}"
 
     def _why_silent(self) -> str:
         # Who wants other keys may have hung up before we read what it wants.
@@ -165,6 +176,23 @@ class Handshakes:
     def problem(self) -> str:
         """Why the bus does not let us in, in a sentence; empty where it does, or where nobody is there."""
         return next((watched.problem for watched in self._watched if watched.problem), "")
+
+    @property
+    def patience_s(self) -> float:
+        """Seconds from the start for which an answer is to be waited for, as things look now."""
+        return STILL_AFTER_S if self._is_met and not self.problem else NO_BUS_AFTER_S
+
+    @property
+    def hindrance(self) -> str:
+        """Why a bus that is there has not answered, in a sentence; empty where nobody listens."""
+        if self.problem or not self._is_met:
+            return self.problem
+        there = self._watched[0].endpoint
+        return f"the bus at {there} does not answer: it hangs, or this machine is too busy; look again in a minute"
+
+    @property
+    def _is_met(self) -> bool:
+        return bool(self._watched) and self._watched[0].is_met
 
     def tend(self) -> None:
         """Read what is told, and try again where a refusal was long enough ago; never waits."""

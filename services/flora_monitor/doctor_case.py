@@ -55,11 +55,11 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the bus said: whether it answered, a line for each service, and why it does not let us in."""
+    """What the bus said: whether it answered, a line for each service, and why one that is there does not."""
 
     is_there: bool
     lines: tuple[Line, ...] = ()
-    refusal: str = ""
+    hindrance: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from rich.text import Text
 from flora_common.bus import LATE_FACTOR
 from flora_common.clock import SystemClock
 from flora_common.health import HealthBoard
-from flora_monitor.listen import DOUBTED_AFTER_S, PROGRAM, Listener, hear_health
+from flora_monitor.listen import PROGRAM, Listener, hear_health
 from flora_monitor.options import Common, Config, Json, common_options
 from flora_monitor.show import printable
 
@@ -67,7 +67,7 @@ def _heard(common: Common) -> Heard:
     from flora_monitor.doctor_case import Heard  # noqa: PLC0415
 
     rig = common.rig
-    listener = Listener(rig, only_rig=rig.name, pattern="health", is_patient=False)
+    listener = Listener(rig, only_rig=rig.name, pattern="health", without_bus=None)
     board = HealthBoard(common.section.services, period_s=rig.health_every_s, ages_are_known=common.rig.has_own_clock)
     try:
         is_there = hear_health(
@@ -76,10 +76,9 @@ def _heard(common: Common) -> Heard:
             pattern="*",
             limit_s=LATE_FACTOR * rig.health_every_s,
             ends_early=True,
-            give_up_s=DOUBTED_AFTER_S,
         )
-        refusal = listener.client.refusal
+        hindrance = "" if is_there else listener.client.hindrance
     finally:
         listener.close()
     lines = board.lines(real_s=time.monotonic(), mono_ns=SystemClock().mono_ns()) if is_there else []
-    return Heard(is_there, tuple(lines), refusal)
+    return Heard(is_there, tuple(lines), hindrance)

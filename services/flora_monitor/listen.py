@@ -18,14 +18,10 @@ from flora_common.health import HealthBoard
 from flora_common.messages import Health
 from flora_monitor.stats import matches, rig_of, topic_text
 
-NO_BUS_AFTER_S: Final = 2.0
-ANSWER_WITHIN_S: Final = 0.5
-DOUBTED_AFTER_S: Final = NO_BUS_AFTER_S - 0.2
-"""For who has a line of its own for it, before the listener says so."""
 SILENT_AFTER_S: Final = 3.0
-RIGS_WITHIN_S: Final = 2.0
 MOST_RIGS: Final = 10
 PROGRAM: Final = "flora-monitor"
+IS_IT_RUNNING: Final = "is flora-bus running?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +46,16 @@ class Listener:
         rig: where the bus is.
         only_rig: hear this rig alone; None for all.
         pattern: glob on ``<rig>/<kind>`` or kind.
-        is_patient: the command waits for a bus that is not there.
+        without_bus: what to advise where no bus answers; None for who has a line of its own for it.
     """
 
     def __init__(
-        self, rig: RigSection, *, only_rig: str | None = None, pattern: str = "*", is_patient: bool = True
+        self,
+        rig: RigSection,
+        *,
+        only_rig: str | None = None,
+        pattern: str = "*",
+        without_bus: str | None = "waiting for it",
     ) -> None:
         self.client = BusClient(rig.bus, rig=only_rig or rig.name, source=PROGRAM, clock=SystemClock())
         self.client.subscribe_prefixes(f"{only_rig}/".encode() if only_rig else b"")
@@ -68,7 +69,7 @@ class Listener:
         self._connected_s: float | None = None
         self._has_warned = False
         self._is_told = False
-        self._is_patient = is_patient
+        self._without_bus = without_bus
         self.client.connect()
 
     @property
@@ -80,6 +81,11 @@ class Listener:
     def endpoint(self) -> str:
         """Where the bus is to answer."""
         return self._rig.bus_subscribe
+
+    @property
+    def misses_bus(self) -> bool:
+        """It has waited for the bus's answer in vain; whoever waits on may be lucky."""
+        return not self.connected and self.waited_s >= self.client.patience_s
 
     @property
     def waited_s(self) -> float:
@@ -98,8 +104,9 @@ class Listener:
             heard = self.client.receive_all()
             self._is_told = self._is_told or bool(heard)  # whoever says something needs no explanation
             arrivals = [a for a in heard if matches(self._pattern, topic_text(a))]
-            if not self.connected and self.waited_s >= NO_BUS_AFTER_S:
-                self._warn_of_no_bus("waiting for it" if self._is_patient else "is flora-bus running?")
+            if self.misses_bus and self._without_bus is not None and not self._has_warned:
+                self._has_warned = True
+                self.warn(self.client.hindrance or f"no bus answers at {self.endpoint}; {self._without_bus}")
             if self.connected and self._connected_s is None:
                 self._connected_s = time.monotonic()
             if self._connected_s is not None and time.monotonic() - self._connected_s >= SILENT_AFTER_S:
@@ -107,12 +114,8 @@ class Listener:
             yield Batch(arrivals, was_connected, time.monotonic())
 
     def explain_silence(self) -> None:
-        """Where nothing was heard so far: say once on stderr whether the bus answers, and which rigs it has."""
-        if self._is_told:
-            return
-        if not self.connected:
-            if self.waited_s >= ANSWER_WITHIN_S:
-                self._warn_of_no_bus("is flora-bus running?")
+        """Where nothing was heard so far and the bus answers: say once on stderr which rigs it has."""
+        if self._is_told or not self.connected:
             return
         self._is_told = True
         rigs = rigs_on(self._rig)
@@ -124,11 +127,6 @@ class Listener:
         more = f" and {len(rigs) - MOST_RIGS} more" if len(rigs) > MOST_RIGS else ""
         self.warn(f"nothing is heard of rig `{self._only_rig}`; on this bus are: {', '.join(rigs[:MOST_RIGS])}{more}")
 
-    def _warn_of_no_bus(self, what_now: str) -> None:
-        if not self._has_warned:
-            self._has_warned = True
-            self.warn(self.client.refusal or f"no bus answers at {self._rig.bus_subscribe}; {what_now}")
-
     def warn(self, text: str) -> None:
         """One line on stderr."""
         print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
@@ -137,9 +135,7 @@ class Listener:
         self.client.close()
 
 
-def hear_health(
-    listener: Listener, board: HealthBoard, *, pattern: str, limit_s: float, ends_early: bool, give_up_s: float
-) -> bool:
+def hear_health(listener: Listener, board: HealthBoard, *, pattern: str, limit_s: float, ends_early: bool) -> bool:
     """Fill a board from the bus; returns whether the bus answered.
 
     Args:
@@ -148,7 +144,6 @@ def hear_health(
         pattern: glob on the services' names.
         limit_s: so long after the bus has answered.
         ends_early: end as soon as nothing that may still come can change a verdict.
-        give_up_s: so long for the bus to answer.
     """
     answered_s: float | None = None
     for batch in listener.batches(every_s=0.05):
@@ -156,7 +151,7 @@ def hear_health(
             if isinstance(arrival.message, Health) and matches(pattern, arrival.message.source):
                 board.hear(arrival.message, real_s=batch.real_s, is_live=batch.is_live)
         if not listener.connected:
-            if listener.waited_s > give_up_s:
+            if listener.misses_bus:
                 return False
             continue
         answered_s = batch.real_s if answered_s is None else answered_s
@@ -198,8 +193,8 @@ def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_k
                 age_s = (SystemClock().mono_ns() - said.t_mono_ns) / NS
                 is_doubtful = is_doubtful or not ages_are_known or 0.0 <= age_s <= within_s
         if not listener.connected:
-            if listener.waited_s >= DOUBTED_AFTER_S:
-                raise BusUnreachable(listener.client.refusal or f"no bus answers at {listener.endpoint}")
+            if listener.misses_bus:
+                raise BusUnreachable(listener.client.hindrance or f"no bus answers at {listener.endpoint}")
             continue
         if answered_s is None:
             answered_s = batch.real_s
@@ -212,19 +207,13 @@ def hear_life(listener: Listener, rigs: set[str], *, within_s: float, ages_are_k
 
 def rigs_on(rig: RigSection) -> list[str]:
     """Names of the rigs whose messages a bus keeps, or passes on meanwhile; none where it does not answer in time."""
-    client = BusClient(rig.bus, rig=rig.name, source=PROGRAM, clock=SystemClock())
-    client.subscribe_prefixes(b"")
-    poller = zmq.Poller()
-    poller.register(client.subscriber, zmq.POLLIN)
-    poller.register(client.publisher, zmq.POLLIN)
+    listener = Listener(rig, without_bus=None)
     found: set[str] = set()
-    give_up_s = time.monotonic() + RIGS_WITHIN_S
     try:
-        client.connect()
-        while not client.connected and time.monotonic() < give_up_s:
-            poller.poll(50)
-            client.handle_publisher()
-            found |= {rig_of(arrival) for arrival in client.receive_all(limit=4096)}
+        for batch in listener.batches(every_s=0.05):
+            found |= {rig_of(arrival) for arrival in batch.arrivals}
+            if listener.connected or listener.misses_bus:
+                break
     finally:
-        client.close()
+        listener.close()
     return sorted(found - {""})

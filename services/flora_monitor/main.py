@@ -25,7 +25,7 @@ from flora_common.recording import RecordingWriter
 from flora_common.recording_reader import RecordingReader
 from flora_monitor import show, tape
 from flora_monitor.doctor_command import doctor
-from flora_monitor.listen import NO_BUS_AFTER_S, PROGRAM, Batch, Listener, hear_health, hear_life
+from flora_monitor.listen import IS_IT_RUNNING, PROGRAM, Batch, Listener, hear_health, hear_life
 from flora_monitor.options import (
     Common,
     Config,
@@ -55,7 +55,9 @@ app = typer.Typer(
 def _until(listener: Listener, seconds: float | None, began_s: float, *, every_s: float = 0.25) -> Iterator[Batch]:
     for batch in listener.batches(every_s=every_s):
         yield batch
-        if seconds is not None and batch.real_s - began_s >= seconds:
+        # Whether there is a bus is known first: the seconds of a busy machine are soon over.
+        is_known = listener.connected or listener.misses_bus
+        if is_known and seconds is not None and batch.real_s - began_s >= seconds:
             listener.explain_silence()
             return
 
@@ -164,12 +166,12 @@ def topics(
 ) -> None:
     """The catalogue, and what of it has been heard: the bus tells what it keeps at once."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
-    board, listener, began_s = common.board(), common.listener(pattern, is_patient=False), time.monotonic()
+    board, listener, began_s = common.board(), common.listener(pattern, without_bus=IS_IT_RUNNING), time.monotonic()
     with _summed_up(lambda: _said(board, began_s)):
         for batch in _until(listener, seconds, began_s, every_s=0.05):
             for arrival in batch.arrivals:
                 board.hear(arrival, batch.real_s)
-            if seconds is None and (batch.is_live or listener.waited_s > NO_BUS_AFTER_S + 0.2):
+            if seconds is None and (batch.is_live or listener.misses_bus):
                 listener.explain_silence()
                 break
     lines = topic_lines(board.rows(time.monotonic()), pattern, common.only_rig)
@@ -195,7 +197,7 @@ def health(
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
     expected = common.services(pattern)
     period_s = common.rig.health_every_s
-    listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health", is_patient=False)
+    listener = Listener(common.rig, only_rig=rig or common.rig.name, pattern="health", without_bus=IS_IT_RUNNING)
     clock = SystemClock()
     board = HealthBoard(expected, period_s=period_s, ages_are_known=common.rig.has_own_clock)
     answered = hear_health(
@@ -204,7 +206,6 @@ def health(
         pattern=pattern,
         limit_s=LATE_FACTOR * period_s if seconds is None else seconds,
         ends_early=seconds is None,
-        give_up_s=NO_BUS_AFTER_S + 0.2,
     )
     if not answered:
         raise typer.Exit(1)
@@ -326,7 +327,7 @@ def _rigs_in(file: Path, only: str) -> set[str]:
 
 def _refuse_live_rig(common: Common, rigs: set[str]) -> None:
     """A recorded `light` would drive the lamps of a rig that runs."""
-    listener = Listener(common.rig, pattern="health", is_patient=False)
+    listener = Listener(common.rig, pattern="health", without_bus=None)
     try:
         period_s, is_here = common.rig.health_every_s, common.rig.has_own_clock
         alive = hear_life(listener, rigs, within_s=LATE_FACTOR * period_s, ages_are_known=is_here)

@@ -71,8 +71,8 @@ class Common:
     def board(self, interval_s: float | None = None) -> Board:
         return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
 
-    def listener(self, pattern: str = "*", *, is_patient: bool = True) -> Listener:
-        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, is_patient=is_patient)
+    def listener(self, pattern: str = "*", *, without_bus: str = "waiting for it") -> Listener:
+        return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, without_bus=without_bus)
 
 
 Pattern = Annotated[

@@ -19,7 +19,6 @@ from flora_common.messages import decode, split_topic
 from flora_common.recording_reader import Recorded, RecordingReader
 from flora_monitor.stats import matches
 
-BUS_TIMEOUT_S: Final = 2.0
 POLL_MS: Final = 100
 FLUSH_TIMEOUT_MS: Final = 10_000
 LONGEST_PAUSE_S: Final = 1800.0
@@ -59,13 +58,15 @@ class Player:
         handshakes = Handshakes([(self._socket, address.publish)], address.keys)
         connect(self._socket, address.publish)
         # In pieces: while this process itself stood still, stopped or on a busy machine, nobody was waited for.
-        is_there = any(self._socket.poll(POLL_MS) for _ in range(round(BUS_TIMEOUT_S * 1000 / POLL_MS)))
-        handshakes.tend()
+        waited_s = 0.0
+        while not (is_there := bool(self._socket.poll(POLL_MS))) and waited_s < handshakes.patience_s:
+            waited_s += POLL_MS / 1000
+            handshakes.tend()
+        hindrance = handshakes.hindrance or f"no bus answers at {address.publish}; is flora-bus running?"
         handshakes.close()
         if not is_there:
             self._socket.close(linger=0)
-            nobody = f"no bus answers at {address.publish}; is flora-bus running?"
-            raise BusUnreachable(handshakes.problem or nobody)
+            raise BusUnreachable(hindrance)
 
     def play(
         self,
