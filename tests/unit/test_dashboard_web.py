@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -177,15 +178,14 @@ def test_it_ends_at_once_though_pages_are_open(tmp_path: Path) -> None:
 
 
 def test_a_server_that_hangs_is_noticed(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flora_dashboard.server.SILENT_AFTER_S", 0.2)
+    monkeypatch.setattr("flora_dashboard.server.SILENT_CHECKS", 2)
     served.server.check()
-    served.wait(lambda: served.server._asked_s is None)
+    served.wait(lambda: served.server._unanswered == 0)
     release = threading.Event()
     loop = served.server._loop
     assert loop is not None
     loop.call_soon_threadsafe(release.wait)
-    served.server.check()
-    time.sleep(0.3)
+    assert [served.server.check(), served.server.check()] == ["", ""]
     try:
         with pytest.raises(RuntimeError, match="no sign"):
             served.server.check()
@@ -193,11 +193,21 @@ def test_a_server_that_hangs_is_noticed(served: Served, monkeypatch: pytest.Monk
         release.set()
 
 
-def test_who_asks_for_signs_may_stand_still_itself(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flora_dashboard.server.SILENT_AFTER_S", 0.2)
-    served.server.check()
-    time.sleep(0.5)  # a machine that slept, a debugger
-    assert served.server.check() == ""
+def test_who_asks_for_signs_may_stand_still_and_all_of_the_process_with_it(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = served.server._loop
+    assert loop is not None
+    release = threading.Event()
+    loop.call_soon_threadsafe(release.wait)
+    try:
+        assert served.server.check() == ""
+        later = SimpleNamespace(monotonic=lambda: time.monotonic() + 3600.0, sleep=time.sleep)
+        monkeypatch.setattr("flora_dashboard.server.time", later)  # slept, or was stopped
+        assert served.server.check() == ""  # the thread has not had its turn yet
+    finally:
+        release.set()
+    served.wait(lambda: served.server._unanswered == 0)
 
 
 def test_a_connection_that_asks_for_nothing_is_closed_and_one_that_did_is_not(
