@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import msgspec
 import numpy as np
 
+from announced_frames import announced
 from flora_common.bus import Arrival, BusClient
-from flora_common.files import sha256_of_bytes, write_bytes
+from flora_common.files import write_bytes
 from flora_common.messages import Frame, FrameMissed, Health, Lamps, Setup, Stem
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
 from flora_common.tracks import read_track
@@ -45,20 +47,7 @@ class Camera:
     def frame(self, tick: int, data: bytes, *, shot: str = "") -> Frame:
         path = f"background/{shot}" if shot else f"frames/{tick:06d}.jpg"
         write_bytes(self.run.path / path, data)
-        return Frame(
-            tick=tick,
-            time_s=tick * 300.0,
-            path=path,
-            run=self.run.path.name,
-            sha256=sha256_of_bytes(data),
-            bytes=len(data),
-            width_px=WIDTH,
-            height_px=HEIGHT,
-            light="left",
-            flash_confirmed=True,
-            exposure_ok=True,
-            purpose="background" if shot else "run",
-        )
+        return msgspec.structs.replace(announced(path, data, tick), purpose="background" if shot else "run")
 
     def background(self) -> None:
         for name in ("left-1", "right-1"):

@@ -9,7 +9,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from flora_common.files import sha256_of_bytes
+from announced_frames import announced
 from flora_common.messages import Frame, Stem
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
 from flora_common.tracks import read_track
@@ -82,20 +82,8 @@ class Box:
     def frame(self, tick: int, data: bytes, **changes: object) -> Frame:
         path = f"frames/{tick:06d}.jpg"
         (self.run.path / path).write_bytes(data)
-        frame = Frame(
-            tick=tick,
-            time_s=tick * 300.0,
-            path=path,
-            run="run",
-            sha256=sha256_of_bytes(data),
-            bytes=len(data),
-            width_px=WIDTH,
-            height_px=HEIGHT,
-            light="left",
-            flash_confirmed=True,
-            exposure_ok=True,
-        )
-        return msgspec.structs.replace(frame, **changes)
+        frame = announced(path, data, tick)
+        return msgspec.structs.replace(frame, **{"width_px": WIDTH, "height_px": HEIGHT, **changes})
 
     def answer(self, frame: Frame) -> Stem:
         """As main.py does: track, then record, then the word."""
