@@ -81,6 +81,19 @@ class Rig:
             shutil.copytree(of / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         return folder
 
+    def changed_copy(self, folder: Path, file: str, old: str, new: str) -> Path:
+        """A checkout that differs in one place."""
+        copy = self.copy_source(folder, self.source)
+        text = (copy / file).read_text()
+        assert old in text
+        (copy / file).write_text(text.replace(old, new, 1))
+        return copy
+
+    def broken_copy(self, folder: Path, why: str) -> Path:
+        """A checkout whose flora-led loads, reads its configuration, and dies when it starts to work."""
+        line = "def build(app: App[LedSection]) -> None:\n"
+        return self.changed_copy(folder, "services/flora_led/main.py", line, f'{line}    raise RuntimeError("{why}")\n')
+
     def install(self, source: Path | None = None, *options: str) -> subprocess.CompletedProcess[str]:
         """What ``make install-rig`` runs."""
         command = [sys.executable, str((source or self.source) / "deploy/install_rig.py"), *options, "root@127.0.0.1"]

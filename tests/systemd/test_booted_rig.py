@@ -283,18 +283,9 @@ def test_a_signed_controller_is_taken_over_ssh(rig: Rig, table: Table, tmp_path:
 # releases
 
 
-def changed_copy(rig: Rig, folder: Path, file: str, old: str, new: str) -> Path:
-    """A checkout that differs in one place."""
-    source = rig.copy_source(folder, rig.source)
-    text = (source / file).read_text()
-    assert old in text
-    (source / file).write_text(text.replace(old, new, 1))
-    return source
-
-
 def test_an_upgrade_stands_beside_the_release_before(rig: Rig, table: Table, tmp_path: Path) -> None:
     before = rig.current()
-    source = changed_copy(rig, tmp_path / "next", "README.md", "# flora", "# flora, the next")
+    source = rig.changed_copy(tmp_path / "next", "README.md", "# flora", "# flora, the next")
     began_s = time.monotonic()
     done = rig.install(source)
     assert done.returncode == 0, done.stderr
@@ -308,7 +299,7 @@ def test_a_release_that_cannot_load_is_not_switched_to(rig: Rig, table: Table, t
     before = rig.current()
     pids = [rig.machine.pid(service) for service in SERVICES]
     old = "from __future__ import annotations\n"
-    source = changed_copy(rig, tmp_path / "x", "services/flora_stem/main.py", old, f"{old}\nimport no_such_module\n")
+    source = rig.changed_copy(tmp_path / "x", "services/flora_stem/main.py", old, f"{old}\nimport no_such_module\n")
     done = rig.install(source)
     assert done.returncode == 1
     assert "was not switched to" in done.stderr
@@ -317,19 +308,10 @@ def test_a_release_that_cannot_load_is_not_switched_to(rig: Rig, table: Table, t
     table.add("a release that cannot load", "not switched to; no service was touched")
 
 
-BREAKS_LED = ("services/flora_led/main.py", "def build(app: App[LedSection]) -> None:\n")
-"""Loads, reads its configuration, and dies when it starts to work."""
-
-
-def broken_copy(rig: Rig, folder: Path, why: str) -> Path:
-    file, line = BREAKS_LED
-    return changed_copy(rig, folder, file, line, f'{line}    raise RuntimeError("{why}")\n')
-
-
 def test_a_broken_release_is_left_by_itself(rig: Rig, table: Table, tmp_path: Path) -> None:
     before = rig.current()
     began_s = time.monotonic()
-    done = rig.install(broken_copy(rig, tmp_path / "broken", "broken release"))
+    done = rig.install(rig.broken_copy(tmp_path / "broken", "broken release"))
     took_s = time.monotonic() - began_s
     assert done.returncode == 1
     assert re.search(rf"was not well: flora-led .*{re.escape(before)} runs again, and is well", done.stderr)
@@ -345,7 +327,7 @@ def test_a_broken_release_is_left_by_itself(rig: Rig, table: Table, tmp_path: Pa
 def test_power_cut_in_the_middle_of_a_trial(rig: Rig, table: Table, tmp_path: Path) -> None:
     """Nobody is there who installs; the machine decides when it boots."""
     machine, before = rig.machine, rig.current()
-    source = broken_copy(rig, tmp_path / "broken", "another broken release")
+    source = rig.broken_copy(tmp_path / "broken", "another broken release")
     command = [sys.executable, str(source / "deploy/install_rig.py"), "root@127.0.0.1"]
     with subprocess.Popen(command, env=machine.environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as run:
         trial = machine.file("/opt/flora/trial.json")
@@ -377,7 +359,7 @@ def test_a_person_goes_back_and_forth(rig: Rig, table: Table) -> None:
 def test_the_last_three_that_were_well_are_kept(rig: Rig, table: Table, tmp_path: Path) -> None:
     ran = [rig.current()]
     for n in (1, 2):
-        source = changed_copy(rig, tmp_path / f"{n}", "README.md", "# flora", f"# flora {n}")
+        source = rig.changed_copy(tmp_path / f"{n}", "README.md", "# flora", f"# flora {n}")
         assert rig.install(source).returncode == 0
         ran.append(rig.current())
     assert sorted(path.name for path in rig.machine.file("/opt/flora/releases").iterdir()) == sorted(ran)
