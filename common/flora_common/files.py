@@ -17,7 +17,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from flora_common.errors import DiskFull
 
@@ -101,27 +101,41 @@ def write_text(path: Path, text: str) -> None:
 def append_line(path: Path, line: str, *, header: str | None = None) -> None:
     """Append one line and flush it to the disk; a new file starts with ``header``.
 
-    A line left torn by a power cut (no line end) is cut off first, so that later lines stay readable.
+    A line left torn by a power cut (no line end) is cut off first, so that later lines stay readable. After an error
+    the file ends as it did before: others read it meanwhile, and half a line is none of its rows.
     """
     with _full_disk_told(path, "the line was not added"):
         is_new = not path.exists()
         if is_new:
             make_folder(path.parent)
-        with path.open("a+b") as file:
+        with path.open("a+b", buffering=0) as file:
             size = file.seek(0, os.SEEK_END)
             whole = _end_of_last_line(file, size)
             if whole < size:
                 file.truncate(whole)
-            if whole == 0 and header is not None:
-                file.write(header.encode() + b"\n")
-            file.write(line.encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
+            first = header.encode() + b"\n" if whole == 0 and header is not None else b""
+            try:
+                write_all(file, first + line.encode() + b"\n")
+                os.fsync(file.fileno())
+            except OSError:
+                with contextlib.suppress(OSError):  # the first error says why
+                    file.truncate(whole)
+                raise
         if is_new:
             fsync_folder(path.parent)
 
 
-def _end_of_last_line(file: BinaryIO, size: int) -> int:
+def write_all(file: IO[bytes], data: bytes | bytearray) -> None:
+    """Every byte of ``data`` to an unbuffered file, which may take them piece by piece."""
+    view, done = memoryview(data), 0
+    try:
+        while done < len(view):
+            done += file.write(view[done:])
+    finally:
+        view.release()
+
+
+def _end_of_last_line(file: IO[bytes], size: int) -> int:
     """Position after the last line end, looking back from the end in chunks."""
     end = size
     while end > 0:

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from flora_common.bus import Arrival
 from flora_common.errors import BadInput, DiskFull, StoreError
-from flora_common.files import fsync_folder, make_folder
+from flora_common.files import fsync_folder, make_folder, write_all
 from flora_common.messages.envelope import TopicSpec, as_sentence, spec_of
 from flora_common.messages.reference import catalogue_hash, schema_of
 
@@ -81,7 +81,7 @@ class _Tail:
         if not self._pending:
             return
         try:
-            _write_all(self._file, self._pending)
+            write_all(self._file, self._pending)
             os.fsync(self._file.fileno())
         except OSError:
             self._file.seek(self.committed)
@@ -89,16 +89,6 @@ class _Tail:
             raise
         self.committed += len(self._pending)
         self._pending.clear()
-
-
-def _write_all(file: IO[bytes], data: bytearray) -> None:
-    """Every byte of ``data`` to an unbuffered file."""
-    view, done = memoryview(data), 0
-    try:
-        while done < len(view):
-            done += file.write(view[done:])
-    finally:
-        view.release()
 
 
 class RecordingWriter:

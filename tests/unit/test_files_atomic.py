@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -146,6 +147,34 @@ def test_a_file_that_is_one_torn_line_starts_anew(tmp_path: Path) -> None:
     path.write_text("hea")
     append_line(path, "1", header="header")
     assert path.read_text() == "header\n1\n"
+
+
+@pytest.mark.parametrize("taken", [0, 4])
+def test_a_line_for_which_there_is_no_room_leaves_nothing_of_itself(tmp_path: Path, taken: int) -> None:
+    path = tmp_path / "frames.csv"
+    append_line(path, "a,1,dark", header="file,time_s,light")
+    before = path.read_bytes()
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + taken, most[1]))  # some of its bytes find room
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            append_line(path, "b,2,left")
+        assert path.read_bytes() == before
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    append_line(path, "c,3,left")
+    assert path.read_bytes() == before + b"c,3,left\n"
+
+
+def test_a_line_that_may_not_be_on_the_disk_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    append_line(tmp_path / "log.csv", "1")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(DiskFull, match="the line was not added"):
+        append_line(tmp_path / "log.csv", "2")
+    assert (tmp_path / "log.csv").read_text() == "1\n"
 
 
 def test_hash_and_folder(tmp_path: Path) -> None:

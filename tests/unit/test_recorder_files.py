@@ -174,7 +174,7 @@ def test_file_that_is_no_recording(tmp_path: Path) -> None:
 
 def full(times: int) -> Any:
     """A disk that takes half of what is written and then says that it is full, so many times."""
-    real = recording._write_all
+    real = recording.write_all
     left = times
 
     def write_all(file: Any, data: bytearray) -> None:
@@ -193,7 +193,7 @@ def test_full_disk_leaves_no_torn_bytes_and_nothing_is_lost(tmp_path: Path, monk
     writer.add(stem(1), utc_ns=0)
     writer.flush()
     size = writer.open_path.stat().st_size
-    monkeypatch.setattr(recording, "_write_all", full(3))
+    monkeypatch.setattr(recording, "write_all", full(3))
     for seq in (2, 3, 4):
         writer.add(stem(seq), utc_ns=0)
         with pytest.raises(DiskFull, match=r"a\.mcap\.open: no room on the disk; free some space"):
@@ -207,7 +207,7 @@ def test_full_disk_leaves_no_torn_bytes_and_nothing_is_lost(tmp_path: Path, monk
 def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "MAX_PENDING_BYTES", 20_000)
     monkeypatch.setattr(recording, "CHUNK_BYTES", 4096)
-    monkeypatch.setattr(recording, "_write_all", full(10**9))
+    monkeypatch.setattr(recording, "write_all", full(10**9))
     writer = RecordingWriter(tmp_path / "a.mcap")
     for seq in range(1, 1000):
         writer.add(stem(seq), utc_ns=0)
@@ -223,7 +223,7 @@ def test_what_was_flushed_before_the_disk_was_full_stays(tmp_path: Path, monkeyp
     writer = RecordingWriter(tmp_path / "a.mcap")
     writer.add(stem(1), utc_ns=0)
     writer.flush()
-    monkeypatch.setattr(recording, "_write_all", full(10**9))
+    monkeypatch.setattr(recording, "write_all", full(10**9))
     with pytest.raises(DiskFull):
         writer.close()
     assert writer.open_path.stat().st_size > 0
@@ -263,7 +263,7 @@ def test_recorder_leaves_a_full_disk_alone_until_the_next_flush(
     clock, said = FakeClock(), []
     recorder = make_recorder(tmp_path, clock, said)
     recorder.hear(stem(1))
-    monkeypatch.setattr(recording, "_write_all", full(1))
+    monkeypatch.setattr(recording, "write_all", full(1))
     with pytest.raises(DiskFull):
         recorder.flush()
     recorder.hear(stem(2))
@@ -280,7 +280,7 @@ def test_recorder_counts_what_it_could_not_keep(tmp_path: Path, monkeypatch: pyt
     recorder = make_recorder(tmp_path, clock, said)
     recorder.flush()
     with monkeypatch.context() as patch:
-        patch.setattr(recording, "_write_all", full(10**9))
+        patch.setattr(recording, "write_all", full(10**9))
         with pytest.raises(DiskFull):
             hear_all(recorder, range(1, 1000))
         hear_all(recorder, range(1000, 2000))
