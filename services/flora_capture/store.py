@@ -93,7 +93,7 @@ class Store:
         mended: what was done about a damaged end of ``frames.csv``, in one sentence; empty where nothing was.
 
     Raises:
-        BadRunFolder: the end of ``frames.csv`` is damaged and cannot be mended.
+        BadRunFolder: the end of ``frames.csv`` is damaged and cannot be mended, or one of the tables cannot be read.
     """
 
     def __init__(self, run: RunFolder) -> None:
@@ -189,15 +189,24 @@ def _read_records(file: Path) -> Iterator[FrameRecord]:
             for line in lines:
                 try:
                     yield decoder.decode(line)
-                except ValueError:
+                except (ValueError, RecursionError):
                     continue  # torn by a power cut; the picture is there and keeps its name
     except FileNotFoundError:
         return
+    except OSError as problem:
+        raise _unreadable(file, problem) from problem
+
+
+def _unreadable(file: Path, problem: OSError) -> BadRunFolder:
+    return BadRunFolder(f"{file}: cannot be read ({problem.strerror}); check its disk and permissions")
 
 
 def _last_time_s(file: Path) -> float:
     """Time of the last whole line of ``frames.csv``; below every time where there is none."""
-    lines = last_lines(file, TAIL_BYTES)
+    try:
+        lines = last_lines(file, TAIL_BYTES)
+    except OSError as problem:
+        raise _unreadable(file, problem) from problem
     if not lines or lines[-1].startswith(b"file,"):
         return -1.0
     try:

@@ -227,3 +227,10 @@ def test_a_damaged_table_that_cannot_be_mended_is_one_clear_line(
     run.frames_csv.write_text("file,time_s,light\nframes/000001.jpg;0;left\n")
     with pytest.raises(BadRunFolder, match=r"frames\.csv: the last line is damaged"):
         Store(run)
+
+
+@pytest.mark.parametrize("table", ["frames.jsonl", "frames.csv"])
+def test_a_table_that_cannot_be_read_is_told_in_a_line(run: RunFolder, table: str) -> None:
+    (run.path / table).mkdir()
+    with pytest.raises(BadRunFolder, match=rf"{table}: cannot be read \(Is a directory\); check its disk"):
+        Store(run)
