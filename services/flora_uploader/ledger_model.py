@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -40,6 +41,14 @@ CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 
 COLUMNS: Final = "run, path, kind, size, mtime_ns, state, expected, sha256, verified_ns, turn, reason"
 """Of an :class:`Entry`, in its order."""
+
+
+LATEST_NS: Final = 2**63 - 1
+
+
+def mtime_ns(status: os.stat_result) -> int:
+    """Time of a file's last change as the ledger can hold it: file systems know years after 2262."""
+    return min(status.st_mtime_ns, LATEST_NS)
 
 
 @dataclass(frozen=True, slots=True)

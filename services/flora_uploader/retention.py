@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from flora_common.files import fsync_folder
-from flora_uploader.ledger_model import Entry
+from flora_uploader.ledger_model import Entry, mtime_ns
 from flora_uploader.policy import is_photograph
 from flora_uploader.target import Target
 from flora_uploader.transfer import SourceUnreadable, hash_at_target
@@ -67,7 +67,7 @@ def free(
         return "gone"
     except OSError as problem:
         raise SourceUnreadable(f"{source}: the spool cannot be read ({problem.strerror}); check its disk") from problem
-    if not stat.S_ISREG(status.st_mode) or (status.st_size, status.st_mtime_ns) != (entry.size, entry.mtime_ns):
+    if not stat.S_ISREG(status.st_mode) or (status.st_size, mtime_ns(status)) != (entry.size, entry.mtime_ns):
         return "changed"
     if target.size(destination) != entry.size or target.is_same_file(destination, status):
         return "kept"

@@ -12,7 +12,7 @@ from typing import Final
 
 from flora_common.errors import BadRunFolder, StoreError
 from flora_common.runs import RunFolder
-from flora_uploader.ledger_model import Found
+from flora_uploader.ledger_model import Found, mtime_ns
 from flora_uploader.policy import is_of_record, is_photograph, kind_of
 
 BATCH: Final = 200
@@ -148,14 +148,16 @@ def folders_of_record(run: Path) -> list[str]:
 
 
 def look_at(run: Path, path: str) -> Found | None:
-    """One file as it is now; None where there is none."""
+    """One file as it is now; None where there is none, or something else of that name."""
     try:
         status = (run / path).lstat()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as problem:
         raise SpoolUnreadable(f"{run / path}: cannot be looked at ({problem.strerror})") from problem
-    return Found(path, kind_of(path), status.st_size, status.st_mtime_ns)
+    if not stat.S_ISREG(status.st_mode):
+        return None  # an announcement can name anything; it would wait for ever
+    return Found(path, kind_of(path), status.st_size, mtime_ns(status))
 
 
 def hashes_of_photographs(run: Path) -> dict[str, str]:

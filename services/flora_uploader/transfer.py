@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from flora_common.errors import NasDamaged, StoreError
+from flora_uploader.ledger_model import mtime_ns
 from flora_uploader.policy import Kind
 from flora_uploader.target import Target
 
@@ -129,7 +130,7 @@ def transfer(order: Order, target: Target) -> Steps:
         if there is not None:
             here = yield from source.read(prefix=there.size if order.kind == "table" else 0)
             if here.sha256 == there.sha256:
-                return Verified(here.sha256, here.size, source.status.st_mtime_ns, copied=False)
+                return Verified(here.sha256, here.size, mtime_ns(source.status), copied=False)
             is_continued = here.prefix_sha256 == there.sha256
         temporary = temporary_path(order.destination, order.temporary_id)
         target.make_folder(str(PurePosixPath(order.destination).parent))
@@ -155,7 +156,7 @@ def transfer(order: Order, target: Target) -> Steps:
         final = yield from _hash_there(target, order.destination)
         if final is None or final.sha256 != here.sha256:
             raise NasDamaged(f"{target.name}/{order.destination}: what was read back is not what was sent")
-        return Verified(final.sha256, final.size, source.status.st_mtime_ns, copied=True, moved_aside=aside)
+        return Verified(final.sha256, final.size, mtime_ns(source.status), copied=True, moved_aside=aside)
 
 
 @dataclass(frozen=True, slots=True)

@@ -179,6 +179,30 @@ def test_a_file_that_still_grows_waits_quietly(bench: Bench) -> None:
     assert "refused" not in [stage for stage, _ in bench.stages()]
 
 
+@pytest.mark.parametrize("path", ["frames", ".", "link.jpg"])
+def test_an_announcement_of_what_is_no_file_leaves_nothing_that_waits(bench: Bench, path: str) -> None:
+    bench.photograph(1, b"one")
+    (bench.run / "link.jpg").symlink_to("frames/000001.jpg")
+    bench.work()
+    bench.uploader.hear("bean", path, sha(b"one"))
+    bench.work(60.0)
+    assert bench.state_of(path) == "unknown"
+    assert bench.uploader.waiting == 0
+    assert bench.uploader.conditions.sentence() == ""
+
+
+def test_a_file_of_a_year_that_the_ledger_cannot_hold_goes_as_others_do(bench: Bench) -> None:
+    path = bench.photograph(1, b"one")
+    late_ns = 12_000_000_000 * 1_000_000_000  # year 2350, which ext4 takes
+    os.utime(bench.run / path, ns=(late_ns, late_ns))
+    if (bench.run / path).stat().st_mtime_ns != late_ns:
+        pytest.skip("this file system knows no such year")
+    bench.work(60.0)
+    assert (bench.there(path), bench.state_of(path)) == (b"one", "stored")
+    bench.work(60.0)
+    assert bench.stages().count(("stored", path)) == 1
+
+
 def test_names_that_are_no_text_are_told(bench: Bench) -> None:
     Path(os.fsdecode(os.fsencode(bench.run) + b"/frames/\xff.jpg")).write_bytes(b"x")
     bench.work()
