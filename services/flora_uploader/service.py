@@ -6,7 +6,7 @@ import time
 from typing import Final
 
 from flora_common.app import App, Timer
-from flora_common.errors import DiskFull
+from flora_common.errors import DiskFull, StoreError
 from flora_common.messages import Frame, Stored
 from flora_common.messages.envelope import as_sentence
 from flora_uploader.actions import make_uploader, percent_free
@@ -49,8 +49,7 @@ class UploaderService:
             self._ledger = Ledger(app.state_dir, app.config.target, self._replaced)
         except (LedgerProblem, LedgerDamaged, DiskFull) as problem:
             # A full disk: whoever ended here would be given up by systemd, and be missing when there is room again.
-            app.trouble("ledger", str(problem))
-            app.after(LEDGER_AGAIN_S, self._begin)
+            self._wait_for_ledger(problem)
             return
         self._replaced = ""
         app.trouble("ledger", "")
@@ -59,6 +58,16 @@ class UploaderService:
         self._keep_reserve()
         self._uploader = make_uploader(app.rig, app.config, self._ledger, self._say, may_free=True)
         self._arm(0.0)  # without the bus too: pictures do not wait for it
+
+    def _wait_for_ledger(self, problem: StoreError) -> None:
+        self._app.trouble("ledger", str(problem))
+        self._app.after(LEDGER_AGAIN_S, self._begin_again)
+
+    def _begin_again(self) -> None:
+        try:
+            self._begin()
+        except StoreError as problem:  # somebody else has it just now, such as who uploads by hand
+            self._wait_for_ledger(problem)
 
     def _begin_anew(self, problem: LedgerDamaged) -> None:
         """In a while: a disk that damages every ledger is not to be filled with them."""
@@ -71,7 +80,7 @@ class UploaderService:
         self._ledger = self._uploader = None
         self._app.log.warning("ledger_damaged", reason=str(problem))
         self._app.trouble("ledger", f"{problem}; a new one is begun from what is at the target")
-        self._app.after(LEDGER_AGAIN_S, self._begin)
+        self._app.after(LEDGER_AGAIN_S, self._begin_again)
 
     def _keep_reserve(self) -> None:
         if self._ledger is not None:

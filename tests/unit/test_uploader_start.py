@@ -165,6 +165,29 @@ def test_a_ledger_that_goes_bad_while_running_is_replaced(
 
 
 @pytest.mark.usefixtures("roomy_disk")
+def test_a_ledger_that_is_replaced_while_somebody_uploads_by_hand_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nas = tmp_path / "nas"
+    nas.mkdir()
+    ledgers = opened(monkeypatch)
+    app = App(tmp_path, nas)
+    build(app)  # type: ignore[arg-type]
+    app.ready()
+    pass_in_pieces(app, 2.0)
+    rot(ledgers[0])
+    work_until_trouble(app)
+    by_hand = Ledger(app.state_dir, str(nas))
+    pass_in_pieces(app, LEDGER_AGAIN_S + 2.0)
+    assert "works with this ledger already" in app.troubles["ledger"]
+    by_hand.close()
+    pass_in_pieces(app, LEDGER_AGAIN_S + 2.0)
+    assert app.troubles == {}
+    assert len(ledgers) == 3
+    app.leave()
+
+
+@pytest.mark.usefixtures("roomy_disk")
 def test_leaving_while_a_damaged_ledger_waits_to_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ledgers = opened(monkeypatch)
     app = App(tmp_path, tmp_path / "nas")
