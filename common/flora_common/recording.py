@@ -116,10 +116,10 @@ class RecordingWriter:
         self.lost = 0
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        for taken in (self.path, self.open_path):
-            if taken.exists():
-                raise BadInput(f"{taken}: exists already; choose another name")
         try:
+            for taken in (self.path, self.open_path):
+                if taken.exists():
+                    raise BadInput(f"{taken}: exists already; choose another name")
             make_folder(path.parent)
             self._file = self.open_path.open("xb", buffering=0)
             fsync_folder(path.parent)

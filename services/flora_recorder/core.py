@@ -116,8 +116,12 @@ class Recorder:
             StoreError: the disk is full or gone.
         """
         if self._writer is None and not self._is_stalled:
-            with self._stalling():
-                self._open()
+            try:
+                with self._stalling():
+                    self._open()
+            except StoreError:
+                self._lost += 1
+                raise
         if self._writer is None:
             self._lost += 1
             return
@@ -204,7 +208,11 @@ class Recorder:
         return self._lost + (self._writer.lost if self._writer else 0)
 
     def _open(self) -> None:
-        self._writer = RecordingWriter(self._free_name(), metadata=self._metadata)
+        try:
+            path = self._free_name()
+        except OSError as problem:
+            raise store_error(self._folder, problem) from problem
+        self._writer = RecordingWriter(path, metadata=self._metadata)
         self._opened_ns = self._clock.mono_ns()
         self._last_number = number_of(self._writer.path)
         self._writer.flush()

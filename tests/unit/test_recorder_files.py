@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import random
 from pathlib import Path
 from typing import Any
@@ -291,6 +292,30 @@ def test_recorder_counts_what_it_could_not_keep(tmp_path: Path, monkeypatch: pyt
     assert recorder.lost == lost
     recorder.close()
     assert recorder.lost == lost
+
+
+@pytest.mark.parametrize("call", ["scandir", "stat"])
+def test_a_folder_that_its_disk_does_not_give_out_is_told_and_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    clock, said = FakeClock(), []
+    recorder = make_recorder(tmp_path, clock, said)
+    real = getattr(os, call)
+
+    def bad(path: Any = ".", *arguments: Any, **keywords: Any) -> Any:
+        if isinstance(path, str | Path) and Path(path).is_relative_to(tmp_path):
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        return real(path, *arguments, **keywords)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, bad)
+        with pytest.raises(StoreError, match="Input/output error"):
+            recorder.hear(stem(1))
+        recorder.hear(stem(2))
+    recorder.flush()
+    recorder.hear(stem(3))
+    recorder.close()
+    assert (said[-1].messages, recorder.lost) == (1, 2)
 
 
 @pytest.mark.parametrize("how", ["folder deleted", "file deleted", "another in its place", "folder is a file"])
