@@ -15,6 +15,9 @@ from flora_common.errors import CameraGone
 SHORTEST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 60.0
 END_WAIT_S: Final = 1.0
+MOST_STUCK: Final = 2
+"""Killed and not ended yet, because the kernel does not let go of them: each further one would be stuck there too, and
+take its memory along, with every tick another one."""
 REAP_WAIT_S: Final = 0.2
 PIECE_BYTES: Final = 1 << 20
 
@@ -34,7 +37,7 @@ class CameraProcess:
         loop: where its answers are waited for.
         settings: the first thing that every child is told.
         on_answer: called with each answer; number 0 says that the camera is open, or why it is not.
-        on_gone: called with a sentence when a child has ended that nobody killed.
+        on_gone: called with a sentence when a child has ended that nobody killed, or when none can be started.
         command: the child's command line.
     """
 
@@ -70,6 +73,13 @@ class CameraProcess:
         if self._child is not None or self._is_over:
             return
         self._ended = [child for child in self._ended if child.poll() is None]
+        if len(self._ended) >= MOST_STUCK:
+            pids = ", ".join(str(child.pid) for child in self._ended)
+            self._start_later()
+            self._on_gone(
+                f"the camera's driver hangs: camera processes {pids} were killed and have not ended; restart the Pi"
+            )
+            return
         self._assembler = Assembler()
         child = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         assert child.stdout is not None
@@ -81,7 +91,8 @@ class CameraProcess:
     def ask(self, request: Request) -> None:
         """Ask for a photograph; a child that is still opening its camera reads this afterwards."""
         self.start()
-        self._send(pack(request))
+        if self._child is not None:
+            self._send(pack(request))
 
     def kill(self) -> None:
         """End the child at once, whatever it does. The next one starts by itself, after a wait that grows."""
@@ -97,6 +108,9 @@ class CameraProcess:
         # Not waited for: a process stuck in the camera driver ends when the kernel lets it.
         if child.poll() is None:
             self._ended.append(child)
+        self._start_later()
+
+    def _start_later(self) -> None:
         if not self._is_waiting and not self._is_over:
             self._is_waiting = True
             self._loop.after(self._wait_s, self._start_if_waiting)

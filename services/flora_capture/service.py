@@ -160,9 +160,9 @@ class CaptureService:
             return
         shot.tries += 1
         shot.lamps_told = self._app.inbox.fresh(Lamps)
-        self._camera.ask(Request(number=flash.tick, index=self._store.taken, name=name))
         if self._deadline is None:
             self._deadline = self._app.after(self._app.config.hang_timeout_s, self._hung)
+        self._camera.ask(Request(number=flash.tick, index=self._store.taken, name=name))
 
     def _hung(self) -> None:
         self._deadline = None

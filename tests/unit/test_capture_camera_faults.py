@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,6 +40,45 @@ def test_a_camera_that_hangs_is_killed_within_30_s_and_the_next_tick_is_photogra
     assert isinstance(announced(app, 2), Frame)
     assert app.troubles == {}
     assert rig.count("starts") == 2
+
+
+def test_camera_processes_that_no_signal_ends_do_not_pile_up(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck: list[subprocess.Popen[bytes]] = []
+    end = subprocess.Popen.kill
+
+    def no_end(child: subprocess.Popen[bytes]) -> None:
+        """As where the kernel hangs in the driver."""
+        stuck.append(child)
+
+    monkeypatch.setattr(subprocess.Popen, "kill", no_end)
+    app = rig.start()
+    rig.camera("hang")
+    try:
+        for tick in (1, 2):
+            app.hear(lit(tick))
+            until(app, lambda: rig.count("asked") == tick)  # noqa: B023 - called before the next tick
+            app.pass_real_s(26.0)
+            assert app.said[-1].because == "camera_hung"
+            app.pass_real_s(60.0)
+        for tick in (3, 4):
+            app.hear(lit(tick))
+            missed = announced(app, tick)
+            assert missed.because == "camera_gone"
+            assert f"{stuck[0].pid}, {stuck[1].pid} were killed and have not ended" in missed.reason
+            app.pass_real_s(300.0)
+        assert (rig.count("starts"), len(stuck)) == (2, 2)
+        rig.camera("fine")
+        end(stuck[0])
+        stuck[0].wait()
+        app.pass_real_s(61.0)
+        app.hear(lit(5))
+        assert isinstance(announced(app, 5), Frame)
+        assert app.troubles == {}
+    finally:
+        for child in stuck:
+            end(child)
+            child.wait()
+        monkeypatch.setattr(subprocess.Popen, "kill", end)
 
 
 @pytest.mark.parametrize("what", ["die", "nonsense", "gone"])
