@@ -149,18 +149,20 @@ def _end_of_last_line(file: IO[bytes], size: int) -> int:
 
 
 def last_lines(path: Path, within_bytes: int) -> list[bytes]:
-    """The whole lines of a growing table that lie within so many bytes of its end, without their line ends.
+    """The whole lines of a growing table that lie within so many bytes of the last one's end, without their line ends.
 
-    Where there is no such file there are none. A line without its end was torn by a power cut, and is left out.
+    Where there is no such file there are none. A line without its end was torn by a power cut, and is left out, however
+    long it is: some file systems leave blocks of nothing there.
 
     Raises:
         OSError: it is there and cannot be read.
     """
     try:
         with path.open("rb") as file:
-            start = max(0, file.seek(0, os.SEEK_END) - within_bytes)
+            whole = _end_of_last_line(file, file.seek(0, os.SEEK_END))
+            start = max(0, whole - within_bytes)
             file.seek(start)
-            lines = file.read().split(b"\n")
+            lines = file.read(whole - start).split(b"\n")
     except FileNotFoundError:
         return []
     return lines[1 if start else 0 : -1]

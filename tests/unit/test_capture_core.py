@@ -207,6 +207,20 @@ def test_a_damaged_end_of_the_table_is_made_anew_and_kept_aside(run: RunFolder, 
     assert Store(run).mended == ""
 
 
+@pytest.mark.parametrize("torn", [b"frames/0000", b"\0" * 5000])
+def test_what_a_power_cut_has_torn_at_the_end_of_the_table_adds_no_line_twice(run: RunFolder, torn: bytes) -> None:
+    store = Store(run)
+    for tick in (1, 2):
+        store.add(tiny_jpeg(), record(tick))
+    store.complete_csv()
+    whole = run.frames_csv.read_bytes()
+    run.frames_csv.write_bytes(whole + torn)
+    again = Store(run)
+    again.add(tiny_jpeg(), record(3))
+    again.complete_csv()
+    assert [row.time_s for row in run.read_frames()] == [record(tick).time_s for tick in (1, 2, 3)]
+
+
 def test_a_table_of_nothing_but_damage_is_made_anew(run: RunFolder) -> None:
     store = Store(run)
     store.add(tiny_jpeg(), record(1))
