@@ -241,7 +241,7 @@ class FlashService:
         self._await_answer()
         self._proceed()
 
-    def _say(self, tick: Tick, *, lit: bool, reason: str) -> None:
+    def _say(self, tick: Tick, *, lit: bool, reason: str) -> tuple[bool, str]:
         confirmed, problem = self._switch(lit)
         self._app.publish(
             Flash(
@@ -254,6 +254,7 @@ class FlashService:
                 reason=as_sentence("; ".join(part for part in (reason, problem) if part)),
             )
         )
+        return confirmed, problem
 
     def _switch(self, on: bool) -> tuple[bool, str]:
         """(whether the lamp says so too, what is wrong where it does not)."""
@@ -272,7 +273,10 @@ class FlashService:
         self._switch(False)
 
     def _leave_dark(self) -> None:
-        done, problem = self._switch(False)
+        if self._open is None:
+            done, problem = self._switch(False)
+        else:  # who photographs just now must not take it for lit, nor who starts later and hears what the bus kept
+            done, problem = self._say(self._open, lit=False, reason="flora-flash has been stopped")
         if not done:
             self._app.log.problem("flash_not_dark", problem)
         self._lamp.close()

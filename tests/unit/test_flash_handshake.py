@@ -157,6 +157,22 @@ def test_dark_however_it_ends(rig: Callable[..., Rig]) -> None:
     assert r.lamp.is_closed
 
 
+def test_stopped_in_the_middle_of_a_tick_it_says_that_it_is_dark(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    app.leave()
+    last = app.said[-1]
+    assert isinstance(last, Flash)
+    assert (last.tick, last.lit, last.confirmed) == (1, False, True)
+    assert "has been stopped" in last.reason
+    again = r.start(*app.said)
+    assert [flash.lit for flash in again.heard(Flash)] == [False]
+    again.hear(frame(1))
+    said = list(again.said)
+    again.leave()
+    assert again.said == said  # between ticks there is nothing to say
+
+
 def test_lock_step_moves_on_when_the_lamps_have_answered(rig: Callable[..., Rig]) -> None:
     r = rig()
     r.clock = lock_step()
