@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 from pathlib import Path
 from typing import IO, Any, Final
@@ -91,6 +92,21 @@ class _Tail:
         self._pending.clear()
 
 
+def is_being_written(open_path: Path) -> bool:
+    """Whether a living process writes this recording, such as that of somebody who records by hand.
+
+    Where the file cannot be opened, or its file system has no locks, nobody is taken to write it.
+    """
+    try:
+        with open_path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 class RecordingWriter:
     """Writes one recording.
 
@@ -122,6 +138,9 @@ class RecordingWriter:
                     raise BadInput(f"{taken}: exists already; choose another name")
             make_folder(path.parent)
             self._file = self.open_path.open("xb", buffering=0)
+            # Until its end, or that of the process: who looks for what a crash has left open leaves it alone.
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             fsync_folder(path.parent)
         except OSError as problem:
             raise store_error(self.open_path, problem) from problem

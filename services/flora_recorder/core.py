@@ -16,7 +16,7 @@ from flora_common.bus import Arrival
 from flora_common.clock import NS, Clock
 from flora_common.errors import StoreError
 from flora_common.messages import Recording
-from flora_common.recording import OPEN_SUFFIX, RecordingWriter, store_error
+from flora_common.recording import OPEN_SUFFIX, RecordingWriter, is_being_written, store_error
 from flora_common.recording_reader import Recovered, recover
 
 MIB: Final = 1 << 20
@@ -92,7 +92,7 @@ class Recorder:
         self._is_stalled = False
 
     def recover_left_over(self) -> list[Recovered]:
-        """Finish what a crash left open.
+        """Finish what a crash left open; a recording that another process writes is none.
 
         Raises:
             StoreError: no room, or the folder cannot be written; call again later.
@@ -100,10 +100,14 @@ class Recorder:
         try:
             for stale in self._folder.glob(".*.mcap.*.part"):
                 stale.unlink()  # of a recovery that was killed
+            current = self._writer.open_path if self._writer else None
+            left_over = sorted(
+                path
+                for path in self._folder.glob(f"*.mcap{OPEN_SUFFIX}")
+                if path != current and not is_being_written(path)
+            )
         except OSError as problem:
             raise store_error(self._folder, problem) from problem
-        current = self._writer.open_path if self._writer else None
-        left_over = sorted(path for path in self._folder.glob(f"*.mcap{OPEN_SUFFIX}") if path != current)
         return [recover(path) for path in left_over]
 
     def hear(self, arrival: Arrival) -> None:

@@ -391,3 +391,13 @@ def test_recorder_finishes_left_over_files_but_not_its_own(tmp_path: Path) -> No
         f"20231114T221320Z-0008.mcap{OPEN_SUFFIX}",
     ]
     recorder.close()
+
+
+def test_recorder_leaves_alone_what_somebody_records_by_hand_in_its_folder(tmp_path: Path) -> None:
+    by_hand = RecordingWriter(tmp_path / "by-hand.mcap")
+    by_hand.add(stem(1), utc_ns=0)
+    by_hand.flush()
+    recorder = make_recorder(tmp_path, FakeClock(), [])
+    assert recorder.recover_left_over() == []
+    by_hand.add(stem(2), utc_ns=0)
+    assert [r.sequence for r in read(by_hand.close())[0]] == [1, 2]
