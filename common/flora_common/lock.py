@@ -1,4 +1,4 @@
-"""A file that one process holds at a time; the kernel lets go of it however that process ends.
+"""A file, or a folder, that one process holds at a time; the kernel lets go of it however that process ends.
 
 The file is never removed: who removes a lock lets two processes hold one each.
 """
@@ -48,6 +48,27 @@ def hold(path: Path) -> int:
     with contextlib.suppress(OSError):
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    return descriptor
+
+
+def hold_folder(folder: Path) -> int:
+    """Hold a folder itself for this process; nothing is written there.
+
+    Returns:
+        The descriptor, as :func:`hold`. Where the file system has no locks nobody is kept away.
+
+    Raises:
+        AlreadyHeld: another process was first; which one, nobody can say.
+        OSError: there is no such folder, or it cannot be opened.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise AlreadyHeld("unknown") from None
+    except OSError:
+        pass
     return descriptor
 
 

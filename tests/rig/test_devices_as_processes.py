@@ -14,6 +14,7 @@ import pytest
 
 from device_fakes import FakeBox, fake_box
 from flora_common.bus import BusClient
+from flora_common.clock import SystemClock
 from flora_common.files import sha256_of_file
 from flora_common.messages import Flash, Frame, FrameMissed, Health, Lamps, LightCommand, Tick
 from flora_common.runs import CameraSection, RunFile, RunFolder, run_file_text
@@ -185,3 +186,23 @@ def test_no_run_folder_is_one_line_and_status_2(bus: Any, box: FakeBox, command:
     _, err = process.communicate(timeout=20.0)
     assert process.returncode == 2
     assert err.splitlines()[-1].endswith("not a run folder, it has no run.toml")
+
+
+def test_two_rigs_do_not_photograph_into_one_run_folder(bus: Any, box: FakeBox, client: BusClient) -> None:
+    first = bus.start_service("flora-capture")
+    bus.wait_ready(client, "flora-capture")
+    bus.sections["rig"] |= {"name": "other", "state_dir": str(bus.folder / "other-state")}
+    second = bus.start_service("flora-capture")
+    _, err = second.communicate(timeout=20.0)
+    assert second.returncode == 2
+    assert err.splitlines()[-1].endswith(
+        f"[rig] run_dir {bus.run_dir}: the flora-capture of another rig writes there; give each rig a run folder"
+    )
+    first.kill()
+    first.wait()
+    bus.start_service("flora-capture")
+    other = BusClient(bus.address, rig="other", source="flora-test", clock=SystemClock())
+    bus.clients.append(other)
+    other.subscribe_prefixes(b"other/")
+    other.connect()
+    bus.wait_ready(other, "flora-capture")
