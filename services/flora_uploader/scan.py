@@ -105,12 +105,13 @@ def real_path(path: Path) -> Path:
         return path.absolute()
 
 
-def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
+def files_of_record(run: Path, left_out: list[str]) -> Iterator[list[Found]]:
     """The files of a run folder in batches. Links, pipes and the like are left out: they are nobody's record.
 
     Args:
         run: the run folder.
-        unnameable: filled with files whose names are not UTF-8 text and cannot be told to anybody.
+        left_out: filled with files whose names are not UTF-8 text and cannot be told to anybody, and with folders that
+            lie too deep, as Python shows them.
     """
     batch: list[Found] = []
     folders = [("", 0)]
@@ -123,10 +124,12 @@ def files_of_record(run: Path, unnameable: list[str]) -> Iterator[list[Found]]:
                         continue
                     path = f"{inner}/{entry.name}" if inner else entry.name
                     if not is_text(path):
-                        unnameable.append(repr(path))
+                        left_out.append(repr(path))
                     elif entry.is_dir(follow_symlinks=False):
                         if depth < MAX_DEPTH:
                             folders.append((path, depth + 1))
+                        else:
+                            left_out.append(repr(path))
                     elif entry.is_file(follow_symlinks=False):
                         found = look_at(run, path)
                         if found is not None:

@@ -72,7 +72,7 @@ class Spool:
 
     def look_through(self, *, everything: bool) -> Generator[None, None, bool]:
         """Tell the ledger of the present run, or of all. Returns whether it came to its end."""
-        unnameable: list[str] = []
+        left_out: list[str] = []
         try:
             found = scan.run_folders(self._runs_dir, self._run_dir)
         except scan.SpoolUnreadable as problem:
@@ -80,21 +80,24 @@ class Spool:
             return False
         self._conditions.clear("spool")
         self._take(found)
-        unnameable += found.unnameable
+        left_out += found.unnameable
         yield
         present = scan.real_path(self._run_dir).name
         for name, folder in sorted(self.runs.items(), key=lambda item: item[0] != present):
             if everything or name == present or name in self._unlisted:
                 try:
-                    yield from self._look_through_run(name, folder, unnameable)
+                    yield from self._look_through_run(name, folder, left_out)
                     self._unlisted.pop(name, None)
                 except scan.SpoolUnreadable as problem:  # a bad sector: the others are not held up
                     self._unlisted[name] = str(problem)
         self._tell_of_unreadable(found)
         if everything:
             self._give_up_on_runs_that_are_gone(found)
-            text = f"{len(unnameable)} files or run folders have names that are not UTF-8 text and are not sent: "
-            self._conditions.set("unnameable", text + unnameable[0] if unnameable else "")
+            text = (
+                f"{len(left_out)} files or run folders have names that are not UTF-8 text, or lie more than "
+                f"{scan.MAX_DEPTH} folders deep, and are not sent: "
+            )
+            self._conditions.set("left out", text + left_out[0] if left_out else "")
         return True
 
     def _take(self, found: scan.RunFolders) -> None:
@@ -110,9 +113,9 @@ class Spool:
         text = "check its disk or mount; other run folders are uploaded"
         self._conditions.set("unreadable", f"{reasons[0]}; {text}{more}" if reasons else "")
 
-    def _look_through_run(self, name: str, folder: Path, unnameable: list[str]) -> Work:
+    def _look_through_run(self, name: str, folder: Path, left_out: list[str]) -> Work:
         has_new = False
-        for batch in scan.files_of_record(folder, unnameable):
+        for batch in scan.files_of_record(folder, left_out):
             changed = self._ledger.see(name, batch)
             has_new = has_new or any(is_photograph(path) for path in changed)
             yield

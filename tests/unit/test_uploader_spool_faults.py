@@ -210,6 +210,19 @@ def test_names_that_are_no_text_are_told(bench: Bench) -> None:
     assert bench.uploader.waiting == 0
 
 
+def test_a_folder_that_lies_too_deep_is_told(bench: Bench) -> None:
+    bench.write("1/2/3/4/5/6/7/8/there.txt", b"x")
+    bench.work()
+    assert bench.there("1/2/3/4/5/6/7/8/there.txt") == b"x"
+    assert bench.uploader.conditions.sentence() == ""
+    bench.write("1/2/3/4/5/6/7/8/9/not-there.txt", b"x")
+    bench.work(3700.0)
+    assert bench.uploader.conditions.sentence() == (
+        "1 files or run folders have names that are not UTF-8 text, or lie more than 8 folders deep, and are not sent: "
+        "'1/2/3/4/5/6/7/8/9'"
+    )
+
+
 def test_a_run_folder_whose_name_is_no_text_is_told_and_the_others_go_on(bench: Bench) -> None:
     other = Path(os.fsdecode(os.fsencode(bench.run.parent) + b"/bean-\xff"))
     (other / "frames").mkdir(parents=True)
