@@ -188,7 +188,7 @@ class Handshakes:
         if self.problem or not self._is_met:
             return self.problem
         there = self._watched[0].endpoint
-        return f"the bus at {there} does not answer: it hangs, or this machine is too busy; look again in a minute"
+        return f"the bus at {there} does not answer: it hangs, or its machine is too busy; look again in a minute"
 
     @property
     def _is_met(self) -> bool:

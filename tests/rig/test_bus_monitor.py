@@ -292,7 +292,7 @@ def test_replay_drives_no_rig_of_which_the_bus_does_not_say_whether_it_lives(bus
     _, err = replay.communicate(timeout=20)
     assert replay.returncode == 1
     assert err == (
-        f"flora-monitor: the bus at {bus.address.publish} does not answer: it hangs, or this machine is too busy; look "
+        f"flora-monitor: the bus at {bus.address.publish} does not answer: it hangs, or its machine is too busy; look "
         "again in a minute, and nobody else says whether rig `test` is alive; try again, use --rig NEW, or --force\n"
     )
 

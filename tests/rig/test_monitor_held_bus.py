@@ -67,7 +67,7 @@ def test_one_that_hangs_is_told_apart_from_none(held: Any) -> None:
     assert time.monotonic() - began_s >= STILL_AFTER_S
     assert health.returncode == 1
     assert err == (
-        f"flora-monitor: the bus at {held.address.publish} does not answer: it hangs, or this machine is too busy; "
+        f"flora-monitor: the bus at {held.address.publish} does not answer: it hangs, or its machine is too busy; "
         "look again in a minute\n"
     )
 
