@@ -124,7 +124,8 @@ class CaptureService:
         if last is not None and last.tick > self._sequence.done and self._store.whole(last):
             self._say(last.message(self._store.run_name))
         flash = inbox.last(Flash)
-        if flash is not None:
+        # An old word that it is lit is that of a flora-flash that is gone, and it left the lamp dark.
+        if flash is not None and (not flash.lit or inbox.fresh(Flash)):
             self._flash(flash)
 
     def _flash(self, flash: Flash) -> None:

@@ -76,6 +76,16 @@ def test_a_folder_that_may_not_be_looked_into_is_a_missed_frame(rig: Rig, monkey
     assert (missed.because, "Permission denied" in missed.reason) == ("not_written", True)
 
 
+def test_a_lit_flash_of_long_ago_that_the_bus_has_kept_is_not_photographed(rig: Rig) -> None:
+    app = rig.start(lit(1, t_mono_ns=1))
+    assert app.said == []
+    app.hear(lit(1, lit=False))
+    assert announced(app, 1).because == "camera_gone"  # when flora-flash is there again it says that it is dark
+    app.hear(lit(2))
+    assert isinstance(announced(app, 2), Frame)
+    assert rig.count("asked") == 1
+
+
 def test_told_twice_it_announces_twice_and_shoots_once(rig: Rig) -> None:
     app = rig.start()
     app.hear(lit(1))
