@@ -75,18 +75,25 @@ class CameraProcess:
         self._ended = [child for child in self._ended if child.poll() is None]
         if len(self._ended) >= MOST_STUCK:
             pids = ", ".join(str(child.pid) for child in self._ended)
-            self._start_later()
-            self._on_gone(
+            self._not_started(
                 f"the camera's driver hangs: camera processes {pids} were killed and have not ended; restart the Pi"
             )
             return
         self._assembler = Assembler()
-        child = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        try:
+            child = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        except OSError as problem:  # no memory or no descriptor for it just now
+            self._not_started(f"the camera process cannot be started ({problem.strerror}); tried again by itself")
+            return
         assert child.stdout is not None
         os.set_blocking(child.stdout.fileno(), False)
         self._child = child
         self._loop.on_readable(child.stdout.fileno(), self._readable)
         self._send(pack(self._settings))
+
+    def _not_started(self, reason: str) -> None:
+        self._start_later()
+        self._on_gone(reason)
 
     def ask(self, request: Request) -> None:
         """Ask for a photograph; a child that is still opening its camera reads this afterwards."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -79,6 +80,25 @@ def test_camera_processes_that_no_signal_ends_do_not_pile_up(rig: Rig, monkeypat
             end(child)
             child.wait()
         monkeypatch.setattr(subprocess.Popen, "kill", end)
+
+
+def test_a_camera_process_for_which_there_is_no_room_is_told_and_tried_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object, **__: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "Popen", no_room)
+        app = rig.start()
+        assert "cannot be started" in app.troubles["camera"]
+        app.hear(lit(1))
+        assert announced(app, 1).because == "camera_gone"
+        app.pass_real_s(10.0)
+    app.pass_real_s(61.0)
+    app.hear(lit(2))
+    assert isinstance(announced(app, 2), Frame)
+    assert app.troubles == {}
 
 
 @pytest.mark.parametrize("what", ["die", "nonsense", "gone"])
