@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from flora_common.lock import AlreadyHeld, hold
+from flora_common.lock import AlreadyHeld, hold, hold_folder
 
 
 def test_one_holder_at_a_time_and_the_second_is_told_whose_it_is(tmp_path: Path) -> None:
@@ -24,6 +24,18 @@ def test_one_holder_at_a_time_and_the_second_is_told_whose_it_is(tmp_path: Path)
     assert by.value.pid == str(os.getpid())
     os.close(first)
     os.close(hold(path))
+
+
+def test_a_folder_has_one_holder_by_whatever_name_and_nothing_is_written_there(tmp_path: Path) -> None:
+    folder, link = tmp_path / "run", tmp_path / "current"
+    folder.mkdir()
+    link.symlink_to(folder)
+    held = hold_folder(link)
+    with pytest.raises(AlreadyHeld):
+        hold_folder(folder)
+    assert list(folder.iterdir()) == []
+    os.close(held)
+    os.close(hold_folder(folder))
 
 
 def test_what_is_no_number_is_not_repeated(tmp_path: Path) -> None:
