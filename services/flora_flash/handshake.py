@@ -242,6 +242,7 @@ class FlashService:
         self._proceed()
 
     def _say(self, tick: Tick, *, lit: bool, reason: str) -> tuple[bool, str]:
+        """Switch, and say so; returns as :meth:`_switch`."""
         confirmed, problem = self._switch(lit)
         self._app.publish(
             Flash(
