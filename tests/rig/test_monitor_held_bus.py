@@ -35,7 +35,7 @@ def let_go_after(bus: Any, process: subprocess.Popen[str], held_s: float) -> tup
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=held_s)
     bus.broker.send_signal(signal.SIGCONT)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=60)
     return out, err
 
 
@@ -63,7 +63,7 @@ def test_a_recording_is_played_when_it_answers(held: Any, tmp_path: Path) -> Non
 def test_one_that_hangs_is_told_apart_from_none(held: Any) -> None:
     began_s = time.monotonic()
     health = held.start("flora-monitor", "health", "--config", str(held.config))
-    _, err = health.communicate(timeout=3 * STILL_AFTER_S)
+    _, err = health.communicate(timeout=60)
     assert time.monotonic() - began_s >= STILL_AFTER_S
     assert health.returncode == 1
     assert err == (
@@ -77,13 +77,13 @@ def test_a_door_of_which_nobody_is_left_is_not_waited_for(bus: Any) -> None:
         with socket.socket(socket.AF_UNIX) as door:
             door.bind(endpoint.removeprefix("ipc://"))  # what a bus that was killed leaves behind
     health = bus.start("flora-monitor", "health", "--config", str(bus.config))
-    _, err = health.communicate(timeout=20)
+    _, err = health.communicate(timeout=60)
     assert err == f"flora-monitor: no bus answers at {bus.address.subscribe}; is flora-bus running?\n"
 
 
 def test_the_doctor_tells_apart_too(held: Any) -> None:
     doctor = held.start("flora-monitor", "doctor", "--json", "--config", str(held.config))
-    out, _ = doctor.communicate(timeout=60)
+    out, _ = doctor.communicate(timeout=300)
     found = {line["part"]: line for line in map(json.loads, out.splitlines())}
     assert found["bus"]["verdict"] == "wrong"
     assert "does not answer: it hangs" in found["bus"]["text"]
