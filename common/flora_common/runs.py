@@ -10,9 +10,8 @@ picture, times in seconds since the run's start.
 from __future__ import annotations
 
 import csv
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -25,6 +24,7 @@ from flora_common.errors import BadRunFolder
 from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
+from flora_common.tables import finite_number, later_time, read_csv
 from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
@@ -46,10 +46,6 @@ Points = Iterable[Iterable[float]]
 
 LONGEST_PATH: Final = 500
 """Signs of a photograph's path in ``frames.csv``; file systems know no names of more than 255."""
-MOST_TIME_S: Final = 1e12
-LONGEST_S: Final = 366 * 86_400.0
-MOST_NUMBER: Final = 1e30
-"""Squares of what is larger are no numbers any more."""
 
 FRAMES_HEADER: Final = "file,time_s,light"
 TRACK_HEADER: Final = "time_s,light," + ",".join(f"x{i},y{i}" for i in range(1, STEM_POINTS + 1))
@@ -273,80 +269,10 @@ def run_file_text(run: RunFile) -> str:
     return to_toml(run)
 
 
-def read_csv(path: Path, required: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Line number and values by column of each row.
-
-    Raises:
-        BadRunFolder: unreadable, not CSV, a required column is missing, a row of another length.
-    """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as problem:
-        raise BadRunFolder(f"{path}: cannot be read ({problem.strerror})") from problem
-    except UnicodeDecodeError as problem:
-        raise BadRunFolder(f"{path}: not UTF-8 text (byte {problem.start})") from problem
-    try:
-        rows = list(csv.reader(text.splitlines(), strict=True))
-    except csv.Error as problem:
-        raise BadRunFolder(f"{path}: not a CSV file ({problem})") from problem
-    if not rows:
-        raise BadRunFolder(f"{path}: is empty; expected the header {','.join(required[:3])},…")
-    header = rows[0]
-    for name in required:
-        if name not in header:
-            raise BadRunFolder(f"{path}: no column `{name}`{did_you_mean(name, header)}")
-    if len(set(header)) != len(header):
-        raise BadRunFolder(f"{path}: a column name appears twice in the header")
-    for number, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        if len(row) != len(header):
-            raise BadRunFolder(f"{path} line {number}: {len(row)} values under {len(header)} columns")
-        yield number, dict(zip(header, row, strict=True))
-
-
-def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, unit: str = "") -> float:
-    """A finite number from ``-most`` to ``most``, or :class:`BadRunFolder` with column and line.
-
-    Args:
-        text: of the field.
-        name: of the column.
-        where: file and line.
-        most: what nobody can have measured lies beyond it.
-        unit: that the column is in, for the message.
-    """
-    name = clipped(name)
-    try:
-        value = float(text)
-    except ValueError:
-        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a number") from None
-    if not math.isfinite(value):
-        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a finite number")
-    if abs(value) > most:
-        units = f"; {name} is in {unit}" if unit else ""
-        raise BadRunFolder(f"{where}: {name} is {value:g}, beyond {most:g}{units}")
-    return value
-
-
-def later_time(text: str, before: Sequence[float], where: str) -> float:
-    """The time of a row, or :class:`BadRunFolder` with the line.
-
-    Args:
-        text: of the field.
-        before: times of the rows before it; it must be after the last, and within :data:`LONGEST_S` of the first.
-        where: file and line.
-    """
-    time_s = finite_number(text, "time_s", where, MOST_TIME_S, "seconds")
-    if before and time_s <= before[-1]:
-        raise BadRunFolder(f"{where}: time_s {time_s:g} is not after {before[-1]:g} in the line before")
-    if before and time_s - before[0] > LONGEST_S:
-        raise BadRunFolder(f"{where}: time_s {time_s:g} is more than a year after the first, {before[0]:g}")
-    return time_s
-
-
 def known_light(text: str, where: str) -> Light:
-    """A lamp state by name, or :class:`BadRunFolder` with the line."""
+    """A lamp state by name, in whatever case, or :class:`BadRunFolder` with the line."""
+    told = text.strip().casefold()
     for light in LIGHTS:
-        if text == light:
+        if told == light:
             return light
     raise BadRunFolder(f"{where}: light is `{text[:40]}`{did_you_mean(text, LIGHTS)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from flora_common.arrays import FloatArray
 from flora_common.errors import BadRunFolder
-from flora_common.runs import TRACK_HEADER, Light, finite_number, known_light, later_time, read_csv
+from flora_common.runs import TRACK_HEADER, Light, known_light
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS
+from flora_common.tables import finite_number, is_missing, is_number, later_time, read_csv
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +23,7 @@ class Track:
         time_s: shape (n,), strictly increasing.
         light: length n.
         points_cm: shape (n, 10, 2); point 0 is the anchor (0, 0), point 9 the tip.
-        covariates: name to shape (n,).
+        covariates: name to shape (n,); NaN where nothing was measured. Columns that hold no number are none.
     """
 
     time_s: FloatArray
@@ -31,29 +33,38 @@ class Track:
 
 
 def read_track(path: Path) -> Track:
-    """A track file, checked.
+    """A track file, checked. A row of which no point but the anchor is told holds no stem, and is left out.
 
     Raises:
         BadRunFolder: missing columns, numbers that are none or that nobody can have measured, times that do not
-            increase, fewer than one row.
+            increase, fewer than one row with a stem.
     """
     times: list[float] = []
     lights: list[Light] = []
     points: list[list[float]] = []
-    covariates: dict[str, list[float]] = {}
+    wheres: list[str] = []
+    further: dict[str, list[str]] = {}
     names = TRACK_HEADER.split(",")
     for line, row in read_csv(path, names):
         where = f"{path} line {line}"
+        if all(is_missing(row[name]) for name in names[4:]):
+            continue
         times.append(later_time(row.pop("time_s"), times, where))
         lights.append(known_light(row.pop("light"), where))
         points.append([finite_number(row.pop(name), name, where, FARTHEST_CM, "cm") for name in names[2:]])
         for name, value in row.items():
-            covariates.setdefault(name, []).append(finite_number(value, name, where))
+            further.setdefault(name, []).append(value)
+        wheres.append(where)
     if not times:
         raise BadRunFolder(f"{path}: holds no rows")
     return Track(
         np.array(times),
         tuple(lights),
         np.array(points).reshape(-1, STEM_POINTS, 2),
-        {name: np.array(values) for name, values in covariates.items()},
+        {name: _numbers(name, values, wheres) for name, values in further.items() if any(map(is_number, values))},
     )
+
+
+def _numbers(name: str, values: list[str], wheres: list[str]) -> FloatArray:
+    told = zip(values, wheres, strict=True)
+    return np.array([math.nan if is_missing(value) else finite_number(value, name, where) for value, where in told])

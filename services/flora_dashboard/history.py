@@ -7,8 +7,9 @@ from typing import Final
 import msgspec
 
 from flora_common.messages import Stem
-from flora_common.runs import TRACK_HEADER, Light, RunFolder, finite_number, known_light, read_csv
+from flora_common.runs import TRACK_HEADER, Light, RunFolder, known_light
 from flora_common.shapes import Target
+from flora_common.tables import finite_number, read_csv
 
 MOST_ROWS: Final = 20_000
 """Ten weeks of a photograph every five minutes; then the oldest go."""

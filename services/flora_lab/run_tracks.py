@@ -12,12 +12,14 @@ import numpy as np
 from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection, RunFolder
+from flora_common.tables import read_header
 from flora_common.tracks import Track, read_track
 from flora_lab.asides import aside
 
 ANCHOR_TOLERANCE_CM: Final = 0.01
 FARTHEST_CM: Final = 60.0
 """A bean grows to some 40 cm in the box; what is farther off is in a wrong unit."""
+_OF_A_TIP: Final = {"x_cm", "x_px", "apex x (mm)"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,15 @@ class RunTrack:
     def where(self, row: int) -> str:
         """How messages name a row, counted from 0."""
         return f"{self.file} row {row + 1} (time_s {self.track.time_s[row]:g})"
+
+    def check_upright(self) -> None:
+        """Whether stems grow up.
+
+        Raises:
+            BadInput: most of them hang, as if y were counted down, as rows of a picture are.
+        """
+        if float(np.median(self.track.points_cm[:, -1, 1])) < 0.0:
+            raise BadInput(f"{self.file}: most tips lie below the anchor; y counts up in a track, change its sign")
 
     def check_points(self) -> None:
         """Whether the points can be a stem's.
@@ -76,6 +87,7 @@ def load_run(path: Path) -> RunTrack:
         check_regular(path)
         name = path.resolve().parent.name if path.name == "track.csv" else path.stem
         name = files.shown(name)
+        _check_whole_stems(path)
         return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
     folder = RunFolder(path)
     if not folder.track_csv.is_file():
@@ -92,6 +104,20 @@ def load_run(path: Path) -> RunTrack:
     sha256 = files.sha256_of_file(folder.track_csv)
     lamps = run_file.lamps if run_file else None
     return RunTrack(name, plant or name, folder.track_csv, sha256, read_track(folder.track_csv), lamps)
+
+
+def _check_whole_stems(path: Path) -> None:
+    """Whether a table can be a track of stems.
+
+    Raises:
+        BadInput: it has the tip alone.
+    """
+    columns = {name.casefold() for name in read_header(path)}
+    if columns & _OF_A_TIP and not columns & {"light", "x10"}:
+        raise BadInput(
+            f"{path}: a track of the tip alone; whole stems and lamps are needed here (time_s,light,x1,y1,…,x10,y10). "
+            "`flora-lab rhythm` looks for swings in such a track"
+        )
 
 
 def check_regular(path: Path) -> None:

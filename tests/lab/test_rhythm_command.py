@@ -133,6 +133,30 @@ def test_bad_input_ends_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_tip_is_read_however_another_program_writes_its_table(tmp_path: Path) -> None:
+    plain = table(tmp_path / "plain.csv", "time_s,x_cm,y_cm")
+    rows = [line.split(",") for line in plain.read_text().splitlines()]
+    other = tmp_path / "other.csv"
+    other.write_text(
+        "".join(
+            ";".join(field.replace(".", ",") for field in row) + "\r\n"
+            for row in [["Time_s", "X_cm", "Y_cm"], *rows[1:]]
+        )
+    )
+    assert read_tip(other).x.tolist() == read_tip(plain).x.tolist()
+
+
+def test_a_tip_alone_is_refused_where_whole_stems_are_needed_with_what_it_is_good_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = table(tmp_path / "tip.csv", "time_s,x_cm,y_cm")
+    assert main(["train", str(path), "-o", str(tmp_path / "a.simulator")]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "a track of the tip alone; whole stems and lamps are needed" in error
+    assert "`flora-lab rhythm`" in error
+    assert len(error.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("rows", "word"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,22 @@ def test_a_track_without_a_fault_is_taken_as_it_is() -> None:
     assert lamps_of(run) == ["left", "both", "right"]  # the lamp of the first row shone before it
     assert run.covariates["warm"].tolist() == [20.5, 21.5, 23.0]
     assert run.is_measured.tolist() == [True] * 4
+
+
+def test_what_was_measured_besides_is_bridged_where_it_is_missing_and_unknown_where_it_never_was() -> None:
+    nan = float("nan")
+    run = in_steps(a_run([0, 300, 600, 900], warm=[20, nan, nan, 26], damp=[nan] * 4))
+    assert run.covariates["warm"].tolist() == [21.0, 23.0, 25.0]
+    assert list(run.covariates) == ["warm"]
+
+
+def test_times_in_hours_and_stems_upside_down_are_told_as_what_they_are() -> None:
+    with pytest.raises(BadInput, match=r"no two rows are 300 s apart, most 0\.0833333 s; time_s is in seconds"):
+        in_steps(a_run([k / 12.0 for k in range(40)]))
+    run = a_run([0, 300, 600])
+    upside_down = replace(run, track=replace(run.track, points_cm=run.track.points_cm * np.array([1.0, -1.0])))
+    with pytest.raises(BadInput, match="most tips lie below the anchor; y counts up"):
+        in_steps(upside_down)
 
 
 def test_gaps_are_empty_rows_and_lamps_are_taken_to_change_in_their_middle() -> None:

@@ -24,6 +24,7 @@ SHORTEST_H: Final = 6.0
 LONGEST_H: Final = 1000.0
 """What is compared grows with the square of it; a clock that jumps by months makes a run as long."""
 FEWEST_REFERENCES: Final = 3
+TRACK_SUFFIXES: Final = (".csv", ".tsv")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,9 @@ def read_runs(paths: Sequence[Path], note: Callable[[str], None] = lambda _: Non
     for track in tracks:
         run, found = record.cleaned(in_steps(track, step_of(track.track.time_s)))
         if run.hours < SHORTEST_H:
-            raise BadInput(f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed")
+            raise BadInput(
+                f"{track.file}: is {run.hours:.1f} h long; at least {SHORTEST_H:g} h are needed (time_s is in seconds)"
+            )
         if run.hours > LONGEST_H:
             raise BadInput(
                 f"{track.file}: goes on for {run.hours:,.0f} h; {LONGEST_H:,.0f} h are compared at most. "
@@ -148,7 +151,7 @@ def read_reference(folder: Path, measured: Runs) -> Runs:
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: is no folder; --reference takes a folder of runs or tracks to learn from")
-    inner = sorted(p for p in folder.iterdir() if (p / "track.csv").is_file() or p.suffix == ".csv")
+    inner = sorted(p for p in folder.iterdir() if (p / "track.csv").is_file() or p.suffix.lower() in TRACK_SUFFIXES)
     if len(inner) < FEWEST_REFERENCES:
         raise BadInput(
             f"{folder}: holds {len(inner)} runs with a track; at least {FEWEST_REFERENCES} are needed to tell how "

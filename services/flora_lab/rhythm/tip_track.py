@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 from flora_common import files
 from flora_common.arrays import Array
 from flora_common.errors import BadInput
-from flora_common.runs import finite_number, later_time, read_csv
+from flora_common.tables import finite_number, is_missing, later_time, read_csv, read_header
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
 from flora_lab.run_tracks import RunTrack, check_regular, load_run
 
@@ -87,11 +86,12 @@ def read_tip(path: Path, *, step_s: float | None = None, px_per_cm: float | None
             increase; too few places or too many gaps. The message names file and line.
     """
     header = _header(path)
-    if header is None or {"light", "x10"} <= set(header):
+    columns = {name.casefold() for name in header or ()}
+    if header is None or {"light", "x10"} <= columns:
         _refuse(path, step_s, "--step-s", "has times of its own")
         _refuse(path, px_per_cm, "--px-per-cm", "is in cm already")
         return _own(load_run(path))
-    names = next((n for n in (PLANT_TRACER, *PLAIN) if set(n) <= set(header)), None)
+    names = next((n for n in (PLANT_TRACER, *PLAIN) if {name.casefold() for name in n} <= columns), None)
     if names is None:
         known = "; ".join(",".join(n) for n in (*PLAIN, PLANT_TRACER))
         raise BadInput(f"{path}: its header is none of a tip's: {known}; or flora's own track.csv")
@@ -121,13 +121,7 @@ def _header(path: Path) -> list[str] | None:
     if not path.exists():
         raise BadInput(f"{path}: no such track")
     check_regular(path)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return next(csv.reader(file), [])
-    except OSError as problem:
-        raise BadInput(f"{path}: cannot be read ({problem.strerror})") from problem
-    except (UnicodeDecodeError, csv.Error) as problem:
-        raise BadInput(f"{path}: not a CSV file in UTF-8") from problem
+    return read_header(path)
 
 
 def _refuse(path: Path, value: float | None, option: str, why: str) -> None:
@@ -160,7 +154,7 @@ def _numbers(path: Path, names: tuple[str, ...]) -> tuple[Array, Array]:
         at.append(
             later_time(row[names[0]], at, where) if names[0] == "time_s" else _frame(row[names[0]], names[0], at, where)
         )
-        if not row[names[1]].strip() and not row[names[2]].strip():
+        if is_missing(row[names[1]]) and is_missing(row[names[2]]):
             tips.append((math.nan, math.nan))
             continue
         x, y = (finite_number(row[name], name, where, MOST_COORDINATE) for name in names[1:])

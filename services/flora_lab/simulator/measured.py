@@ -115,10 +115,11 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     one place.
 
     Raises:
-        BadInput: fewer than two stems, points that no stem has, a first stem without length, or no two rows ``step_s``
-            apart.
+        BadInput: fewer than two stems, points that no stem has, stems upside down, a first stem without length, or no
+            two rows ``step_s`` apart.
     """
     run.check_points()
+    run.check_upright()
     track = run.track
     if len(track.time_s) < 2:
         raise BadInput(f"{run.file}: holds one stem; at least two are needed")
@@ -133,7 +134,8 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     at, first = np.unique(index[rows], return_index=True)
     rows = rows[first]
     if not (np.diff(at) == 1).any():
-        raise BadInput(f"{run.file}: no two rows are {step_s:g} s apart")
+        between_s = float(np.median(np.diff(track.time_s)))
+        raise BadInput(f"{run.file}: no two rows are {step_s:g} s apart, most {between_s:g} s; time_s is in seconds")
     count = int(at[-1]) + 1
     points = np.full((count, STEM_POINTS, 2), np.nan)
     points[at] = track.points_cm[rows]
@@ -147,7 +149,9 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         light[gap.start : (gap.start + gap.stop + 1) // 2] = gap.before
     covariates = {}
     for name, values in track.covariates.items():
-        covariates[name] = np.interp(np.arange(count - 1) + 0.5, at, values[rows])
+        known = np.isfinite(values[rows])
+        if known.any():
+            covariates[name] = np.interp(np.arange(count - 1) + 0.5, at[known], values[rows][known])
     return MeasuredRun(
         run.name,
         run.plant,
