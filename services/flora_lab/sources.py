@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -172,17 +173,22 @@ class RunSource:
 
 
 class FolderSource:
-    """The pictures in a folder, in the order of their names; all of the first one's size."""
+    """The pictures in a folder, in the order of their names, numbers as numbers; all of the first one's size."""
 
     lights: Sequence[Light] | None = None
 
     def __init__(self, path: Path) -> None:
-        self._files = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+        self._files = sorted((p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES), key=_in_order)
         if not self._files:
             raise BadInput(f"{path}: holds neither run.toml nor pictures ({', '.join(PICTURE_SUFFIXES)})")
         self.name = str(path)
         self.count = len(self._files)
         self.size_px = self._first_size()
+        if (path / "frames.csv").exists():
+            aside(
+                f"{path / 'frames.csv'} is not looked at, for there is no run.toml beside it; one with [camera] alone "
+                "(anchor_px, px_per_cm, width_px, height_px) will do"
+            )
 
     def frames(self) -> Iterator[Frame]:
         for i, file in enumerate(self._files):
@@ -264,6 +270,12 @@ def open_source(path: Path) -> RunSource | FolderSource | FilmSource:
     if path.suffix.lower() in PICTURE_SUFFIXES:
         raise BadInput(f"{path}: a single picture; give the folder that holds the sequence")
     raise BadInput(f"{path}: neither a run folder, a folder of pictures, nor a film ({', '.join(FILM_SUFFIXES)})")
+
+
+def _in_order(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Sorts ``IMG_9.JPG`` before ``IMG_10.JPG``."""
+    parts = re.split(r"([0-9]+)", path.name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
 
 
 def _state_of(path: Path) -> str:

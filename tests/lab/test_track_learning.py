@@ -29,6 +29,19 @@ def folder_of(tmp_path: Path, lights: list[str]) -> FolderSource:
     return FolderSource(tmp_path)
 
 
+def test_pictures_of_a_folder_come_as_a_camera_counts_them_and_a_table_beside_them_is_not_passed_over_in_silence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (8, 9, 10, 11, 100):
+        cv2.imwrite(str(tmp_path / f"IMG_{number}.png"), picture(None))
+    names = [frame.name for frame in FolderSource(tmp_path).frames()]
+    assert names == ["IMG_8.png", "IMG_9.png", "IMG_10.png", "IMG_11.png", "IMG_100.png"]
+    assert capsys.readouterr().err == ""
+    (tmp_path / "frames.csv").write_text("file,time_s,light\n")
+    FolderSource(tmp_path)
+    assert "frames.csv is not looked at, for there is no run.toml beside it" in capsys.readouterr().err
+
+
 def sort(source: FolderSource | RunSource, rule: str = "auto", span: Span = ALL) -> learning.Sorted:
     return learning.sort_frames(source, span, parse_rule(rule), Pool(1), path=True)
 
