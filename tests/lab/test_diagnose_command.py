@@ -26,6 +26,7 @@ from html_reader import Reader
 from flora_common.geometry import turned_right
 from flora_lab.diagnose import folder, work
 from flora_lab.diagnose.diagnosis import Diagnosis
+from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.main import main
 from flora_lab.run_tracks import load_run
 from flora_lab.simulator.interface import Chance
@@ -74,6 +75,15 @@ def test_the_folder_is_whole(diagnosed: Path) -> None:
     assert not [path for path in diagnosed.parent.iterdir() if path.name.startswith(".")]
     pictures = {path.name for path in (diagnosed / "pictures").iterdir()}
     assert {"paths.png", "stems.png", "phase.png", "stem.png", "spectrum.png", "evidence.png", "film.gif"} <= pictures
+
+
+def test_bars_of_evidence_bear_the_names_that_the_page_uses(diagnosed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bars: list[tuple[list[tuple[str, float]], list[str]]] = []
+    monkeypatch.setattr(folder.figures, "evidence", lambda tried, named, needed: bars.append((tried, named)) or b"")
+    folder.pictures_of(RESULTS[0])
+    ((tried, named),) = bars
+    assert named == [BY_NAME[cause.effect].title for cause in told(diagnosed).causes]
+    assert set(named) < {title for title, _ in tried} <= {effect.title for effect in BY_NAME.values()}
 
 
 def test_what_was_hidden_is_found(diagnosed: Path, runs: Path) -> None:

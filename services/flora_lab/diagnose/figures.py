@@ -49,7 +49,7 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         ax.set_xticks(np.arange(0.0, FINE_BINS * FINE_H + 1e-6, 3.0))
         ax.axhline(0.0, color=MEASURED, linewidth=0.8)
         ax.tick_params(labelsize=8)
-    left.set_ylabel("tip, measured minus simulated, mm\nleft  –  right", fontsize=9)
+    left.set_ylabel("tip, measured minus simulated, mm:\nto the right (+) or left (−)", fontsize=9)
     at = (np.arange(statistics.CLOCKS) + 0.5) * statistics.CLOCK_H
     _reference_band(clock, at, base.reference.by_clock_mm_h[base.plant])
     _runs_and_mean(clock, at, base.shown.by_clock_mm_h[base.plant], BLUE)

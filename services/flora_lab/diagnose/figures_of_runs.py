@@ -42,7 +42,7 @@ def paths(base: ResidualTables, extended: ResidualTables | None) -> bytes:
         _limits(grid[row, 0], np.concatenate([seen, run.simulated_cm(base.plant)[:, -1, 0], *run.chance_cm[..., 0]]))
         title = grid[row, 0].set_title(drawable(run.name), fontsize=9, loc="left", fontweight="bold")
         title.set_parse_math(False)
-        grid[row, 0].set_ylabel("tip: left  –  right, cm", fontsize=8)
+        grid[row, 0].set_ylabel("tip to the right (+)\nor left (−), cm", fontsize=8)
         grid[row, 1].set_ylabel("height of the tip, cm", fontsize=8)
     for ax in grid[-1]:
         ax.set_xlabel("hours since the start", fontsize=8)

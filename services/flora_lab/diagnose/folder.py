@@ -141,14 +141,15 @@ def pictures_of(result: Result) -> dict[str, bytes]:
     tables, extended, explanation = result.tables, result.extended_tables, result.explanation
     gain = result.diagnosis.gain
     first = explanation.stages[0]
-    chosen = [cause.effect for cause in result.diagnosis.causes]
+    tried = [(t.effect.title, t.gain) for t in first.tried]
+    named = [BY_NAME[cause.effect].title for cause in result.diagnosis.causes]
     made = {
         "paths": figures_of_runs.paths(tables, extended),
         "stems": figures_of_runs.stems(tables, extended),
         "phase": figures.by_phase(tables, extended),
         "stem": figures.along_stem(tables, extended),
         "spectrum": figures.spectra(tables, explanation.swing),
-        "evidence": figures.evidence([(t.effect.name, t.gain) for t in first.tried], chosen, result.explanation.claim),
+        "evidence": figures.evidence(tried, named, explanation.claim),
         "film": film(tables, extended),
     }
     if gain.free_running:

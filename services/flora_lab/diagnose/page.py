@@ -221,8 +221,8 @@ _PICTURES: Final[tuple[tuple[str, Literal["png", "gif"], str, str], ...]] = (
         "how far apart measured and simulated stems are, along the stem and over time",
         "Where it is wrong: from the foot of the stem to its tip, and over the run.",
     ),
-    ("film", "gif", "measured and simulated stems growing", "The stems themselves, an hour per frame."),
-    ("stems", "png", "measured and simulated stems at some hours", "The stems at some hours of the runs."),
+    ("film", "gif", "measured and simulated stems growing", "The stems themselves, in cm, an hour per frame."),
+    ("stems", "png", "measured and simulated stems at some hours", "The stems at some hours of the runs, in cm."),
     (
         "spectrum",
         "png",

@@ -26,7 +26,7 @@ def blowing(change: Change, v: Values) -> None:
 def sentence(v: Values) -> str:
     """What it means."""
     side, size = "right" if v["drive_per_cm_h"] > 0 else "left", abs(v["drive_per_cm_h"])
-    return f"something pushes the stem to the {side} all the time (strength {size:.3f})"
+    return f"something pushes the stem to the {side} all the time (strength {size:.3f} per cm and hour)"
 
 
 EFFECT: Final = Effect(
