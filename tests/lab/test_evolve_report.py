@@ -113,6 +113,8 @@ def test_runs_on_drawn_plants_are_ranked_by_other_plants(tmp_path: Path) -> None
     files = [cell for cell in reader.cells if cell.endswith(".controller.json")]
     assert files[1:] == [runs[number].controller for number in (1, 3, 4, 0, 2, 5)]
     assert {"60.0 %", "10.0 %"} <= set(reader.cells)
+    assert "the chosen one, without impossible scenarios" in reader.text
+    assert "the best, without" not in reader.text
 
 
 def test_how_often_populations_began_anew_is_told(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def _headline(evolution: Evolution) -> list[tuple[str, str]]:
         others = f"the chosen one's on {evolution.info.individuals.held_out} plants that nothing was evolved on"
         figures.append((judging.percent(best.held_out_fitness), others))
     if not evolution.task.is_possible.all():
-        figures.append((judging.percent(best.best_fitness_possible), "the best, without impossible scenarios"))
+        figures.append((judging.percent(best.best_fitness_possible), f"the {word} one, without impossible scenarios"))
         middle = median(run.best_fitness_possible for run in runs)
         figures.append((judging.percent(middle), "median, without impossible scenarios"))
     return figures
