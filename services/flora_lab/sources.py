@@ -178,7 +178,9 @@ class FolderSource:
     lights: Sequence[Light] | None = None
 
     def __init__(self, path: Path) -> None:
-        self._files = sorted((p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES), key=_in_order)
+        # a Mac leaves `._IMG_1.JPG` beside each file that it copies to a stick
+        shown = (p for p in path.iterdir() if not p.name.startswith("."))
+        self._files = sorted((p for p in shown if p.suffix.lower() in PICTURE_SUFFIXES), key=_in_order)
         if not self._files:
             raise BadInput(f"{path}: holds neither run.toml nor pictures ({', '.join(PICTURE_SUFFIXES)})")
         self.name = str(path)

@@ -34,6 +34,7 @@ def test_pictures_of_a_folder_come_as_a_camera_counts_them_and_a_table_beside_th
 ) -> None:
     for number in (8, 9, 10, 11, 100):
         cv2.imwrite(str(tmp_path / f"IMG_{number}.png"), picture(None))
+    (tmp_path / "._IMG_8.png").write_bytes(b"\0\5\x16\7")
     names = [frame.name for frame in FolderSource(tmp_path).frames()]
     assert names == ["IMG_8.png", "IMG_9.png", "IMG_10.png", "IMG_11.png", "IMG_100.png"]
     assert capsys.readouterr().err == ""

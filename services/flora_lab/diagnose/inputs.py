@@ -151,7 +151,8 @@ def read_reference(folder: Path, measured: Runs) -> Runs:
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: is no folder; --reference takes a folder of runs or tracks to learn from")
-    inner = sorted(p for p in folder.iterdir() if (p / "track.csv").is_file() or p.suffix.lower() in TRACK_SUFFIXES)
+    shown = (p for p in folder.iterdir() if not p.name.startswith("."))
+    inner = sorted(p for p in shown if (p / "track.csv").is_file() or p.suffix.lower() in TRACK_SUFFIXES)
     if len(inner) < FEWEST_REFERENCES:
         raise BadInput(
             f"{folder}: holds {len(inner)} runs with a track; at least {FEWEST_REFERENCES} are needed to tell how "
