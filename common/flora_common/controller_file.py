@@ -228,6 +228,9 @@ def _read(path: Path) -> bytes:
             return file.read(MAX_BYTES + 1)
     except RuntimeError as problem:  # a loop of links
         raise BadController(f"{path}: cannot be read (its links run in a circle)") from problem
+    except IsADirectoryError as problem:
+        told = f"{path}: cannot be read ({problem.strerror}); name the file in it, such as best.controller.json"
+        raise BadController(told) from problem
     except OSError as problem:
         raise BadController(f"{path}: cannot be read ({problem.strerror})") from problem
     except ValueError as problem:

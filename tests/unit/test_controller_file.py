@@ -124,6 +124,7 @@ def test_what_is_no_regular_file_of_sensible_size(tmp_path: Path, kind: str) -> 
     elif kind == "large":
         path.write_bytes(b" " * (MAX_BYTES + 1))
     wanted = {
+        "folder": r"cannot be read \(Is a directory\); name the file in it, such as best.controller.json",
         "pipe": "not a regular file",
         "large": f"{MAX_BYTES + 1} bytes; a controller file has at most {MAX_BYTES}",
     }.get(kind, "cannot be read")
