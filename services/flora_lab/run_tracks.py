@@ -19,7 +19,7 @@ from flora_lab.asides import aside
 ANCHOR_TOLERANCE_CM: Final = 0.01
 FARTHEST_CM: Final = 60.0
 """A bean grows to some 40 cm in the box; what is farther off is in a wrong unit."""
-_OF_A_TIP: Final = {"x_cm", "x_px", "apex x (mm)"}
+_OF_A_TIP: Final = {"x_cm", "x_mm", "x_px", "apex x (mm)"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,6 +100,8 @@ def test_gaps_and_long_tracks(tmp_path: Path) -> None:
     ("header", "change", "options", "word"),
     [
         ("t,x,y", None, (), "its header is none of a tip's"),
+        ("t,x,y", None, (), "or flora's own track.csv. Rename its t,x,y"),
+        ("time_s,x_mm,y_mm", None, ("--px-per-cm", "9"), "is in mm; leave --px-per-cm out"),
         ("frame,x_px,y_px", ("3,", "3,abc"), (), "line 5: x_px is `abc"),
         ("frame,x_px,y_px", ("3,", "1,"), (), "line 5: frame 1 is not after 2"),
         ("time_s,x_px,y_px", None, ("--step-s", "60"), "leave --step-s out"),
@@ -144,6 +146,13 @@ def test_a_tip_is_read_however_another_program_writes_its_table(tmp_path: Path) 
         )
     )
     assert read_tip(other).x.tolist() == read_tip(plain).x.tolist()
+
+
+def test_a_tip_in_mm_is_the_same_tip_in_cm(tmp_path: Path) -> None:
+    for at in ("time_s", "frame"):
+        in_cm, in_mm = (read_tip(table(tmp_path / f"{unit}.csv", f"{at},x_{unit},y_{unit}")) for unit in ("cm", "mm"))
+        assert (in_mm.unit, in_mm.is_scale_doubtful) == ("cm", False)
+        assert in_mm.x * 10.0 == pytest.approx(in_cm.x)
 
 
 def test_a_tip_alone_is_refused_where_whole_stems_are_needed_with_what_it_is_good_for(

@@ -3,8 +3,8 @@
 | header has | is |
 |---|---|
 | ``time_s,light,x1,…,y10`` or a run folder | flora's own track; its tip is used |
-| ``time_s,x_cm,y_cm``, ``time_s,x_px,y_px`` | a tip whose times are known |
-| ``frame,x_cm,y_cm``, ``frame,x_px,y_px`` | a tip whose frame interval comes with ``--step-s``, or is not known |
+| ``time_s,x_cm,y_cm``, or ``x_mm,y_mm``, ``x_px,y_px`` | a tip whose times are known |
+| ``frame,x_cm,y_cm``, or ``x_mm,y_mm``, ``x_px,y_px`` | a tip by frames, whose interval ``--step-s`` may tell |
 | ``frame_number,Apex x (mm),Apex y (mm)`` | Plant Tracer's ``trackpoints.csv`` |
 """
 
@@ -20,17 +20,13 @@ import numpy as np
 from flora_common import files
 from flora_common.arrays import Array
 from flora_common.errors import BadInput
+from flora_common.suggest import clipped
 from flora_common.tables import finite_number, is_missing, later_time, read_csv, read_header
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
 from flora_lab.run_tracks import RunTrack, check_regular, load_run
 
 PLANT_TRACER: Final = ("frame_number", "Apex x (mm)", "Apex y (mm)")
-PLAIN: Final = (
-    ("time_s", "x_cm", "y_cm"),
-    ("time_s", "x_px", "y_px"),
-    ("frame", "x_cm", "y_cm"),
-    ("frame", "x_px", "y_px"),
-)
+PLAIN: Final = tuple((at, f"x_{unit}", f"y_{unit}") for at in ("time_s", "frame") for unit in ("cm", "mm", "px"))
 MOST_SAMPLES: Final = 2000
 """More are averaged in blocks: what counts are cycles, not samples."""
 MOST_COORDINATE: Final = 20_000.0
@@ -94,14 +90,16 @@ def read_tip(path: Path, *, step_s: float | None = None, px_per_cm: float | None
     names = next((n for n in (PLANT_TRACER, *PLAIN) if {name.casefold() for name in n} <= columns), None)
     if names is None:
         known = "; ".join(",".join(n) for n in (*PLAIN, PLANT_TRACER))
-        raise BadInput(f"{path}: its header is none of a tip's: {known}; or flora's own track.csv")
+        there = clipped(",".join(header))
+        raise BadInput(f"{path}: its header is none of a tip's: {known}; or flora's own track.csv. Rename its {there}")
     is_in_px, is_timed = names[1] == "x_px", names[0] == "time_s"
+    is_in_mm = names is PLANT_TRACER or names[1] == "x_mm"
     if is_timed:
         _refuse(path, step_s, "--step-s", "has times of its own")
     if not is_in_px:
-        _refuse(path, px_per_cm, "--px-per-cm", "is in mm" if names is PLANT_TRACER else "is in cm already")
+        _refuse(path, px_per_cm, "--px-per-cm", "is in mm" if is_in_mm else "is in cm already")
     at, tips = _numbers(path, names)
-    per_unit = px_per_cm if is_in_px and px_per_cm else _MM_PER_CM if names is PLANT_TRACER else 1.0
+    per_unit = px_per_cm if is_in_px and px_per_cm else _MM_PER_CM if is_in_mm else 1.0
     has_hours = is_timed or step_s is not None
     return _even(
         files.shown(path.stem),
