@@ -66,6 +66,20 @@ def going_on() -> str:
     return f"the same `{within}` goes on" if within else "the same command with --resume goes on"
 
 
+@contextlib.contextmanager
+def kept_told(*, is_silent: bool) -> Iterator[None]:
+    """Say on Ctrl-C or SIGTERM how a command goes on that finds out by itself what is finished.
+
+    A step of another command says nothing: that one does.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if not is_silent and WITHIN not in os.environ:
+            print("what is finished is kept; the same command goes on", file=sys.stderr)
+        raise
+
+
 def unfinished(path: Path, what: str, drop: str = "--force") -> BadInput:
     """The refusal to drop stopped work unasked: hours may have gone into it.
 

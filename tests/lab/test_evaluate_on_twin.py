@@ -131,11 +131,14 @@ def test_who_stops_it_keeps_what_is_finished(
     arguments = ["evaluate", str(TIP_ONLY), "--on", "twin", "-o", str(out), "--jobs", "1"]
     if behaviour == "SIGINT":
         assert main(arguments) == 130
-        assert "flora-lab: interrupted" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "flora-lab: interrupted" in said
     else:
         with pytest.raises(SystemExit) as ended:
             main(arguments)
         assert ended.value.code == 128 + 15
+        said = capsys.readouterr().err
+    assert "what is finished is kept; the same command goes on\n" in said
     # the run was told to end, and had the time for it
     assert (program.parent / twin_fakes.ENDED).read_text() == "20002\n"
     assert [run.name[-5:] for run in (out / "runs").iterdir() if ".unfinished" not in run.name] == ["20001"]

@@ -23,6 +23,7 @@ from flora_lab.paper.published import PUBLISHED
 from flora_lab.paper.scales import SCALES, SMOKE, Asked
 from flora_lab.paper.screen import Screen
 from flora_lab.paper.steps import do_all, keys
+from flora_lab.stopped_work import WITHIN
 from flora_twin.main import main as twin_main
 
 
@@ -78,6 +79,21 @@ def test_a_failing_command_ends_it_with_its_line_and_status(
     entry = read_ledger(tmp_path / "p").get(RUNS)
     assert entry is not None
     assert not entry.is_finished
+
+
+@pytest.mark.parametrize("within", [None, "flora-lab something"])
+def test_who_stops_it_is_told_that_it_goes_on_where_nobody_else_began_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], within: str | None
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("flora_lab.paper.work.do_all", stopped)
+    monkeypatch.delenv(WITHIN, raising=False)
+    if within is not None:
+        monkeypatch.setenv(WITHIN, within)
+    assert main(["paper", "--scale", "smoke", "-o", str(tmp_path / "out")]) == 130
+    assert ("what is finished is kept; the same command goes on" in capsys.readouterr().err) == (within is None)
 
 
 def test_how_many_processes_work_changes_no_step_and_the_seed_changes_all() -> None:

@@ -17,7 +17,7 @@ from flora_common.errors import BadInput, FloraError
 from flora_lab.bars import Bars
 from flora_lab.late import modules_of
 from flora_lab.option_values import must_not
-from flora_lab.stopped_work import sigterm_ends
+from flora_lab.stopped_work import kept_told, sigterm_ends
 
 TWIN: Final = "twin"
 TASK: Final = "reality"
@@ -92,7 +92,8 @@ def evaluate(
     with _bar("simulated plants", work.episodes(plan, simulators), silent) as done:
         evaluation = work.simulate(plan, simulators, done)
     if TWIN in on:
-        with sigterm_ends(), work.run_folder(output, plan) as folder:
+        told = kept_told(is_silent=silent or output is None)
+        with sigterm_ends(), told, work.run_folder(output, plan) as folder:
             say, screen = (_nothing, None) if silent else (_say, sys.stderr if sys.stderr.isatty() else None)
             evaluation = work.on_twin(
                 evaluation, folder, jobs=jobs, say=say, screen=screen, keep_photographs=keep_photographs

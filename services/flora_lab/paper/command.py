@@ -13,7 +13,7 @@ from flora_common.errors import BadInput
 from flora_common.suggest import did_you_mean
 from flora_lab.paper.ledger import check_folder
 from flora_lab.paper.scales import SCALES, Asked
-from flora_lab.stopped_work import sigterm_ends
+from flora_lab.stopped_work import kept_told, sigterm_ends
 
 DEFAULT_SCALE: Final = "small"
 
@@ -56,7 +56,7 @@ def paper(
     check_folder(output)
     asked = Asked(SCALES[scale], seed, jobs)
     is_silent = quiet or as_json
-    with sigterm_ends():
+    with sigterm_ends(), kept_told(is_silent=is_silent):
         told = importlib.import_module("flora_lab.paper.work").do_paper(output, asked, force=force, is_silent=is_silent)
     if as_json:
         typer.echo(json.dumps(told.numbers))
