@@ -207,6 +207,8 @@ def test_quiet_says_nothing(
     assert said.out.startswith("verdict: explained\nSteady push to a side")
     assert said.out.endswith(f"wrote {tmp_path / 'told'}\n")
     assert "tip error in mm" in said.out
+    assert "sure to over 99 %" in said.out
+    assert "100 %" not in said.out.split("tip error")[0]
     (line,) = said.err.splitlines()
     assert line.startswith("note: no run.toml tells")
 

@@ -12,7 +12,7 @@ from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
 from flora_lab.diagnose.figures import GAIN_NAMES
 from flora_lab.diagnose.next_experiment import NOTHING, NOTHING_TOLD
 from flora_lab.diagnose.replayed import Plant
-from flora_lab.diagnose.residual_words import mm, p_text
+from flora_lab.diagnose.residual_words import mm, p_text, percent_sure
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Parameter
 
@@ -100,8 +100,7 @@ def value_text(parameter: Parameter, value: float) -> str:
 def sure_text(confidence: float) -> str:
     """A probability in words, with the number."""
     words = next(words for least, words in _SURE if confidence >= least)
-    number = "over 99 %" if confidence > 0.99 else f"{100.0 * confidence:.0f} %"
-    return f"{words} ({number})"
+    return f"{words} ({percent_sure(confidence)})"
 
 
 def _lead(diagnosis: Diagnosis) -> str:
@@ -129,7 +128,7 @@ def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         tiles.append((p_text(p_value), f"{more}, all runs taken as wholes"))
     if diagnosis.causes:
         best = diagnosis.causes[0]
-        number = "> 99 %" if best.confidence > 0.99 else f"{100.0 * best.confidence:.0f} %"
+        number = percent_sure(best.confidence).replace("over", ">")
         tiles.append((number, f"sure of the first cause: {BY_NAME[best.effect].title.lower()}"))
     end = diagnosis.gain.free_running.get("end", {})
     if "base" in end and "extended" in end:

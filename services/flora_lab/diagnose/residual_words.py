@@ -68,6 +68,11 @@ def mm(value: float) -> str:
     return f"{value:.0f} mm" if abs(value) >= 9.5 else f"{value:.1f} mm"
 
 
+def percent_sure(confidence: float) -> str:
+    """A probability; of no cause is anybody sure to 100 %."""
+    return "over 99 %" if confidence > 0.99 else f"{100.0 * confidence:.0f} %"
+
+
 def p_text(p_value: float) -> str:
     """A p-value as people read it."""
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"

@@ -7,7 +7,7 @@ from typing import Final
 
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.explanation import Explanation
-from flora_lab.diagnose.residual_words import one_in, p_text
+from flora_lab.diagnose.residual_words import one_in, p_text, percent_sure
 from flora_lab.diagnose.residuals import SIGNIFICANT
 from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
@@ -68,7 +68,7 @@ def _found(causes: Sequence[NamedCause], left: Left, next_best: str, dropped: Se
                 f"left is {left.share:.1f} times what reference runs leave."
             )
         return " ".join(filter(None, [_nothing(p_value), next_best]))
-    told = "; ".join(f"{title(cause.effect)} (sure to {100.0 * cause.confidence:.0f} %)" for cause in causes) + "."
+    told = "; ".join(f"{title(cause.effect)} (sure to {percent_sure(cause.confidence)})" for cause in causes) + "."
     if left.unnamed is not None:
         told += f" But something else is at work. A description that fits: {left.unnamed.words}."
     elif left.is_much:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from flora_lab.diagnose import controllers_told, learned_told
 from flora_lab.diagnose.diagnosis import Gain
+from flora_lab.diagnose.residual_words import percent_sure
 from flora_lab.diagnose.summary import title
 from flora_lab.diagnose.work import Result
 
@@ -13,7 +14,7 @@ def text(result: Result) -> str:
     found = result.diagnosis
     lines = [f"verdict: {found.verdict.replace('_', ' ')}", found.summary, ""]
     for cause in found.causes:
-        lines.append(f"{title(cause.effect)}: sure to {100.0 * cause.confidence:.0f} %")
+        lines.append(f"{title(cause.effect)}: sure to {percent_sure(cause.confidence)}")
         for name, value in cause.parameters.items():
             low, high = cause.interval[name]
             lines.append(f"  {name:<18}{value:>9.3g}   90 %: {low:.3g} to {high:.3g}")
