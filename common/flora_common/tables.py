@@ -1,8 +1,8 @@
 """Tables that people and other programs write: CSV in the ways in which it is met, and the numbers in it.
 
 Fields may be parted by commas, semicolons or tabs; where it is no comma, decimals may have one. Column names count in
-whatever case; lines that begin with ``#`` may stand before them. Blank lines, and separators behind the last column
-that has a name, are passed over.
+whatever case; lines that begin with ``#`` may stand before them. Blank lines are passed over, and so are columns
+without a name: a spreadsheet's empty ones, a data frame's numbers of its rows.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ def is_missing(text: str) -> bool:
     return text.strip().casefold() in _MISSING
 
 
-def is_number(text: str) -> bool:
-    """Whether a field is a number, or one that is none (NaN, inf)."""
+def is_measured(text: str) -> bool:
+    """Whether a field holds a number, be it one that nobody can have measured (inf); NaN is the word for none."""
     try:
         float(text)
     except ValueError:
         return False
-    return True
+    return not is_missing(text)
 
 
 def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, unit: str = "") -> float:
@@ -178,7 +178,7 @@ def _named(path: Path, header_line: _Line, required: Sequence[str]) -> list[str]
     number, header = header_line
     known = {name.casefold(): name for name in required}
     header = [known.get(name.casefold(), name) for name in header]
-    if len(header) > 1 and all(is_number(name) for name in header[2:] or header):
+    if len(header) > 1 and all(is_measured(name) for name in header[2:] or header):
         raise BadRunFolder(
             f"{path} line {number}: holds numbers where the columns must be named: {','.join(required[:3])},…"
         )

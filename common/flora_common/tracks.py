@@ -12,7 +12,7 @@ from flora_common.arrays import FloatArray
 from flora_common.errors import BadRunFolder
 from flora_common.runs import TRACK_HEADER, Light, known_light
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS
-from flora_common.tables import finite_number, is_missing, is_number, later_time, read_csv
+from flora_common.tables import finite_number, is_measured, is_missing, later_time, read_csv
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +56,12 @@ def read_track(path: Path) -> Track:
             further.setdefault(name, []).append(value)
         wheres.append(where)
     if not times:
-        raise BadRunFolder(f"{path}: holds no rows")
+        raise BadRunFolder(f"{path}: holds no rows with a stem")
     return Track(
         np.array(times),
         tuple(lights),
         np.array(points).reshape(-1, STEM_POINTS, 2),
-        {name: _numbers(name, values, wheres) for name, values in further.items() if any(map(is_number, values))},
+        {name: _numbers(name, values, wheres) for name, values in further.items() if any(map(is_measured, values))},
     )
 
 

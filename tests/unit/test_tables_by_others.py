@@ -83,7 +83,7 @@ def test_a_row_without_a_stem_is_left_out(tmp_path: Path, nothing: str) -> None:
 
 def test_what_was_not_measured_besides_the_stem_is_not_known_and_remarks_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "track.csv"
-    further = (("21.5", ""), ("", "pot moved"), ("NaN", ""))
+    further = (("21.5", ""), ("", "pot moved"), ("NaN", "NaN"))
     rows = [[*row, *more] for row, more in zip(ROWS, further, strict=True)]
     path.write_text(table(rows, names=[*NAMES, "temperature_c", "remark"]))
     covariates = read_track(path).covariates
