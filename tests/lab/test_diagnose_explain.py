@@ -211,6 +211,16 @@ def test_beside_a_swing_more_is_told_than_beside_a_cause_of_as_much_evidence(is_
     assert (explainer._beside(stage, (strong,)) is nameless) == is_told
 
 
+@pytest.mark.parametrize(("of_a_cause", "is_told"), [(1.5, True), (2.5, False)])
+def test_what_has_no_name_needs_less_where_no_cause_comes_to_anything(of_a_cause: float, is_told: bool) -> None:
+    explainer = Explainer(scenes_of((80,)), known())
+    (late,) = explained("late").accepted
+    middle = 0.5 * (explainer.claims.nameless + explainer.claims.nameless_alone)
+    nameless = Unnamed("bias", COURSES[0], middle, np.array([-0.03]))
+    stage = Stage(late.stage.before, (replace(late.tried, gain=of_a_cause),), nameless)
+    assert (explainer._beside(stage, ()) is nameless) == is_told
+
+
 @pytest.mark.parametrize(("runs", "is_outdone"), [(1, True), (3, True), (4, True), (9, False)])
 def test_with_more_runs_more_is_asked_of_what_has_no_name(runs: int, is_outdone: bool) -> None:
     explainer = Explainer(list(scenes_of((80,))) * runs, known())

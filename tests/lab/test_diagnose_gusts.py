@@ -13,6 +13,7 @@ from diagnose_runs import LAW, TYPICAL, change_of, known, red_noise, run_of, sce
 from flora_common.arrays import Array
 from flora_lab.diagnose import gusts
 from flora_lab.diagnose.explain import Explainer
+from flora_lab.diagnose.explanation import Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.rhythm import spectrum
@@ -28,6 +29,8 @@ from flora_lab.threads import one_blas_thread
 ELASTIC: Final = 2
 """The form of a draught that bends stems elastically."""
 DRIVE_PER_CM_H: Final = 0.15
+WEAK_PER_CM_H: Final = 0.05
+GUSTS: Final = gusts.Gusts((0.1, 0.1, 0.04))
 
 
 def blown(drive_per_cm_h: float) -> Change:
@@ -43,14 +46,15 @@ def typical_in_wind(drive_per_cm_h: float) -> Found:
 
 def course(rng: np.random.Generator, rows: int) -> Array:
     """How much harder than its mean a wind blows, shape (rows,)."""
-    return np.asarray(np.sum([share * red_noise(rng, rows, memory_h) for memory_h, share in gusts.GUSTS], axis=0))
+    each = zip(GUSTS.shares, gusts.MEMORIES_H, strict=True)
+    return np.asarray(np.sum([share * red_noise(rng, rows, memory_h) for share, memory_h in each], axis=0))
 
 
-def gusty(seed: int) -> MeasuredRun:
+def gusty(seed: int, drive_per_cm_h: float = DRIVE_PER_CM_H) -> MeasuredRun:
     """A run in a wind that comes and goes."""
-    run = run_of(seed, hours=72.0, change=blown(DRIVE_PER_CM_H))
-    aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(DRIVE_PER_CM_H).terms[WIND]), SOFTNESS_CM)
-    harder = 0.7 * course(np.random.default_rng([seed, 3]), len(run.points_cm))  # a calmer one than is allowed for
+    run = run_of(seed, hours=72.0, change=blown(drive_per_cm_h))
+    aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(drive_per_cm_h).terms[WIND]), SOFTNESS_CM)
+    harder = course(np.random.default_rng([seed, 3]), len(run.points_cm))
     harder[0] = 0.0  # a run begins from the stem that is measured
     return replace(run, points_cm=run.points_cm + harder[:, None, None] * aside_cm)
 
@@ -78,21 +82,21 @@ def test_hourly_means_and_spectra_scatter_as_much_as_gusts_make_them() -> None:
     every = scene.steps // len(scene.points(Lanes(TYPICAL[None], np.zeros((1, 2)), [Change()])))
     moved = courses[:, :, None, None] * aside_cm[:, None]
     means = moved.reshape(-1, every, *moved.shape[1:]).mean(axis=1)
-    sampled, wanted = np.cov(scene.of_points(means).T), gusts.covariance(scene, found, 0)
+    sampled, wanted = np.cov(scene.of_points(means).T), gusts.covariance(scene, found, 0, GUSTS)
     assert np.trace(sampled) == pytest.approx(np.trace(wanted), rel=0.15)
     assert np.sum(sampled * wanted) > 0.97 * np.sqrt(np.sum(sampled**2) * np.sum(wanted**2))
     spectra = [spectrum(moved[:, k, -1, 0], scene.step_h) for k in range(moved.shape[1])]
     power = np.mean([own.power for own in spectra], axis=0)
     middle = (spectra[0].per_hour > 0.4) & (spectra[0].per_hour < 1.2)
-    expected = gusts.power(scene, found, 0, spectra[0])
+    expected = gusts.power(scene, found, 0, spectra[0], GUSTS)
     assert power[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.25)
 
 
 def test_where_no_wind_bends_stems_there_are_no_gusts() -> None:
     scene = scene_of(1, traits=TYPICAL, chance={})
     calm = Found(Hypothesis(), np.zeros(0), TYPICAL[None], np.zeros((1, 2)))
-    assert not gusts.covariance(scene, calm, 0).any()
-    assert not gusts.power(scene, calm, 0, spectrum(scene.run.points_cm[:, -1, 0], scene.step_h)).any()
+    assert not gusts.covariance(scene, calm, 0, GUSTS).any()
+    assert not gusts.power(scene, calm, 0, spectrum(scene.run.points_cm[:, -1, 0], scene.step_h), GUSTS).any()
 
 
 def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
@@ -103,3 +107,47 @@ def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
     assert (cause.effect, cause.form, verdict_of([cause], left)) == ("draught", ELASTIC, "explained")
     assert cause.confidence > 0.8
     assert cause.interval["drive_per_cm_h"][0] < DRIVE_PER_CM_H < cause.interval["drive_per_cm_h"][1]
+
+
+def weighed(runs: list[MeasuredRun]) -> Tried:
+    """A draught as a first cause of some runs, in whatever gusts."""
+    explainer = Explainer([Scene(run, LAW) for run in runs], known())
+    with one_blas_thread():
+        _, joint, null = explainer._begun()
+        return explainer._in_gusts(joint, null, Tried(BY_NAME["draught"], -np.inf, None))
+
+
+def wavering(run: MeasuredRun, seed: int) -> MeasuredRun:
+    """A run whose stem sways by itself as in gusts."""
+    aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(3.0 * WEAK_PER_CM_H).terms[WIND]), SOFTNESS_CM)
+    harder = course(np.random.default_rng([seed, 3]), len(run.points_cm))
+    harder[0] = 0.0
+    return replace(run, points_cm=run.points_cm + harder[:, None, None] * aside_cm)
+
+
+def test_a_wind_that_plants_lean_hides_is_told_by_its_gusts() -> None:
+    draught = weighed([gusty(seed, WEAK_PER_CM_H) for seed in (82, 84)])
+    assert draught.found is not None
+    assert draught.found.hypothesis.causes[-1].form == ELASTIC
+    assert draught.found.values()[-1]["drive_per_cm_h"] == pytest.approx(WEAK_PER_CM_H, rel=0.5)
+    assert draught.gain > draught.gusts.evidence > 5.0
+
+
+def test_in_a_steady_wind_there_are_no_gusts() -> None:
+    blow = blown(DRIVE_PER_CM_H)
+    draught = weighed([run_of(seed, hours=72.0, change=blow) for seed in (82, 84)])
+    assert draught.gain > 10.0
+    assert draught.gusts.evidence < 3.0
+
+
+def test_one_run_of_several_that_sways_by_itself_is_in_no_wind() -> None:
+    first, second = (run_of(seed, hours=72.0) for seed in (82, 84))
+    assert weighed([wavering(first, 82), second]).gusts.evidence == 0.0
+    assert weighed([first, second]).gusts.evidence == 0.0
+
+
+@pytest.mark.parametrize(
+    ("each", "nats"), [((30.0,), 23.0), ((30.0, 4.0), 8.0), ((30.0, 4.0, -1.0), 7.0), ((5.0, 4.0, 3.0), 11.0)]
+)
+def test_what_one_run_shows_counts_as_much_as_the_next_one_bears_out(each: tuple[float, ...], nats: float) -> None:
+    assert gusts._borne_out(np.array(each)) == nats

@@ -111,6 +111,17 @@ def covariances(scene: Scene, answers: Answers) -> Array:
     return found
 
 
+def of_wander(scene: Scene, answers: Answers, sizes: Array) -> Array:
+    """What pushes to a side give by chance in a run's features, covariance of shape (m, m).
+
+    Args:
+        scene, answers: see :func:`covariances`.
+        sizes: of all parts.
+    """
+    to_a_side = np.array([part.drive in ("bias", "gradient") for part in PARTS])
+    return np.asarray(np.tensordot(to_a_side * sizes**2, covariances(scene, answers), axes=1))
+
+
 def over_time(part: Part, at_h: Array, again_h: Sequence[float] = ()) -> Array:
     """How alike what a part does is at some times, shape (k, k); 1 is its size.
 

@@ -21,6 +21,10 @@ _MOST_DOUBT: Final = 4.0
 NAMELESS: Final = 14.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
+NAMELESS_ALONE: Final = 10.0
+"""Nats that it must have where no cause has :data:`NEXT_TO_NOTHING`, and none can be hidden by it. No healthy plants
+have as much and less than 14 (docs/results/discovery.md)."""
+NEXT_TO_NOTHING: Final = 2.0
 BETTER: Final = 4.0
 """Nats by which it must be better than the best cause, which then is not believed; with more runs than three by as
 much more as :data:`NAMELESS` is more: causes have what is usually wrong in the law taken off, and it has not."""
@@ -34,11 +38,13 @@ class Claims:
     Attributes:
         causes: that the first, the second and the third cause need.
         nameless: that something without a name needs.
+        nameless_alone: the same where no cause has next to anything.
         better: by which it must be better than the best cause.
     """
 
     causes: tuple[float, float, float]
     nameless: float
+    nameless_alone: float
     better: float
 
     @property
@@ -51,7 +57,10 @@ def claims_of(known: Knowledge, runs: int) -> Claims:
     more = max(1.0, runs / _RUNS)
     doubt = more * _doubt_of(known)
     return Claims(
-        (FIRST + doubt, SECOND + doubt, THIRD + doubt), more * NAMELESS + doubt, BETTER + (more - 1.0) * NAMELESS
+        (FIRST + doubt, SECOND + doubt, THIRD + doubt),
+        more * NAMELESS + doubt,
+        more * NAMELESS_ALONE + doubt,
+        BETTER + (more - 1.0) * NAMELESS,
     )
 
 

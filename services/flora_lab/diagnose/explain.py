@@ -9,17 +9,19 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose import chance, clocks, gusts, rhythm, search
-from flora_lab.diagnose.claims import claims_of
+from flora_lab.diagnose import chance, claims, clocks, rhythm, search
+from flora_lab.diagnose.alone import side_by_side
 from flora_lab.diagnose.explanation import SWING, Accepted, Explanation, Stage, Tried
-from flora_lab.diagnose.hypothesis import Hypothesis
+from flora_lab.diagnose.gusts import CALM, Gusts, best_gusts, covariance, power
+from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
 from flora_lab.diagnose.rhythm import Spectrum, Swing
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.diagnose.unnamed import Unnamed, unnamed
+from flora_lab.effects import draught
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
-from flora_lab.effects.effect import Change, Effect
+from flora_lab.effects.effect import Effect
 
 _AS_GOOD: Final = 1.0
 """Nats within which the first cause may be another one, and needs what that one would."""
@@ -37,7 +39,6 @@ swing's evidence is from minutes, and leaves nothing in the hours' means in whic
 _MUCH: Final = 3.0
 """So many times what healthy runs leave is left where the plants themselves were not found."""
 _RESTARTS: Final = 2
-_BADLY: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,14 @@ class _Reached:
         joint: the runs, whitened for what was found.
         found: the causes but for a swing, fitted.
         swing: of the tip, where it is one of the causes.
+        gusts: of a wind, where one is among the causes.
         accepted: all causes, and how each was come to.
     """
 
     joint: Joint
     found: Found
     swing: Swing | None = None
+    gusts: Gusts = CALM
     accepted: tuple[Accepted, ...] = ()
 
 
@@ -78,10 +81,11 @@ class Explainer:
     ) -> None:
         self.scenes = scenes
         self.known = known
-        self.claims = claims_of(known, len(scenes))
+        self.claims = claims.claims_of(known, len(scenes))
         self._on_search = on_search
         self._answers: list[Answers] = []
         self._errors: list[tuple[Array, Array]] = []
+        self._gusts = CALM
 
     def explain(self) -> Explanation:
         """The causes, one after another while they are worth it; one that a later one makes worthless is dropped."""
@@ -101,7 +105,7 @@ class Explainer:
                 break
             reached = further
         joint, swing, accepted = reached.joint, reached.swing, reached.accepted
-        null = stages[0].before if swing is None else joint.fit(_side_by_side(alone))
+        null = stages[0].before if swing is None else joint.fit(alone)
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
         return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
@@ -134,10 +138,11 @@ class Explainer:
         if best.swing is not None:
             joint = self._joint(best.swing)
             found = self._pruned(joint, joint.fit(_started(reached.found)), accepted)
-            return _Reached(joint, found, best.swing, tuple(accepted))
+            return _Reached(joint, found, best.swing, reached.gusts, tuple(accepted))
         assert best.found is not None
         found = self._pruned(reached.joint, best.found, accepted)
-        self._answer(found)
+        gusts = reached.gusts if best.gusts == CALM else best.gusts
+        self._answer(found, gusts)
         if swing is not None and self._swing(found).gain < self.claims.first:
             # What seemed to swing was this cause.
             swing = None
@@ -145,10 +150,11 @@ class Explainer:
         joint = self._joint(swing)
         found = joint.fit(_started(found))
         # With what chance does about it, it may be next to nothing, and what it made worthless is not.
-        about_itself = _tried(joint.fit(_without(found, best.effect.name)), best.effect, found)
-        if about_itself.gain >= self._least(best.effect, len(accepted) - 1):
-            return _Reached(joint, found, swing, tuple(accepted))
-        less = replace(best, gain=min(best.gain, about_itself.gain))
+        of_push = _tried(joint.fit(_without(found, best.effect.name)), best.effect, found).gain
+        about_itself = of_push + best.gusts.evidence
+        if about_itself >= self._least(best.effect, len(accepted) - 1):
+            return _Reached(joint, found, swing, gusts, tuple(accepted))
+        less = replace(best, gain=min(best.gain, about_itself))
         return replace(stage, tried=tuple(sorted((less, *stage.tried[1:]), key=lambda one: -one.gain)))
 
     def _least(self, effect: Effect, others: int) -> float:
@@ -160,12 +166,12 @@ class Explainer:
         _, joint, null = self._begun()
         return self._settled(joint, null, None, _RESTARTS)
 
-    def _begun(self) -> tuple[list[Found], Joint, Found]:
+    def _begun(self) -> tuple[Found, Joint, Found]:
         """Each run by itself, all together, and how they are without a cause."""
-        alone = self._all_alone()
-        self._answer(_side_by_side(alone))
+        alone = side_by_side(self.scenes, self.known.base)
+        self._answer(alone, CALM)
         joint = self._joint(None)
-        null = joint.fit(_side_by_side(alone))
+        null = joint.fit(alone)
         if self._is_much(null):
             # What is very wrong with the runs may have led each of them far astray.
             null = max(null, joint.fit(joint.null()), key=lambda fit: fit.evidence)
@@ -205,8 +211,9 @@ class Explainer:
 
     def _beside(self, last: Stage, accepted: Sequence[Accepted]) -> Unnamed | None:
         """What is at work beside the causes, if it is worth a word."""
-        is_enough = last.unnamed is not None and last.unnamed.gain > self._told_from(accepted)
-        return last.unnamed if is_enough else None
+        is_alone = not accepted and last.tried[0].gain < claims.NEXT_TO_NOTHING
+        least = self.claims.nameless_alone if is_alone else self._told_from(accepted)
+        return last.unnamed if last.unnamed is not None and last.unnamed.gain > least else None
 
     def _told_from(self, accepted: Sequence[Accepted]) -> float:
         """Nats from which something without a name is told beside causes."""
@@ -218,7 +225,7 @@ class Explainer:
         for earlier in [a for a in accepted[:-1] if a.tried.found is not None]:
             name = earlier.tried.effect.name
             less = joint.fit(_without(found, name))
-            if found.evidence - less.evidence >= self.claims.first:
+            if found.evidence - less.evidence + earlier.tried.gusts.evidence >= self.claims.first:
                 continue
             found = less
             accepted.remove(earlier)
@@ -243,6 +250,8 @@ class Explainer:
             effect, fit = tried[0].effect, search.fitted(joint, before, tried[0].found)
             tried[0] = _tried(before, effect, fit)
             tried.sort(key=lambda t: -t.gain)
+        tried = [self._in_gusts(joint, before, one) if one.effect is draught.EFFECT else one for one in tried]
+        tried.sort(key=lambda t: -t.gain)
         beside: tuple[Joint, Found] | None = None
         if swing is None:
             own = self._swing(before)
@@ -267,6 +276,19 @@ class Explainer:
         if self._leaves_much(found):
             return self._again(joint, found, lambda one: one.hypothesis.causes[-1].effect.is_strong)
         return found
+
+    def _in_gusts(self, joint: Joint, before: Found, tried: Tried) -> Tried:
+        """A draught as a wind that comes and goes, where more speaks for that."""
+        fit = tried.found
+        if fit is None or fit.hypothesis.causes[-1].form != draught.BLOWING or not fit.jacobians:
+            look = search.best_start(joint, before, Cause(tried.effect, draught.BLOWING))
+            fit = search.fitted(joint, before, look)
+        if not np.isfinite(fit.evidence):
+            return tried
+        steady = _tried(before, tried.effect, fit)
+        gusts = best_gusts(joint, self.scenes, self._answers, fit)
+        gain = steady.gain + gusts.evidence
+        return tried if gain < tried.gain else replace(steady, gain=gain, gusts=gusts)
 
     def _unnamed(self, joint: Joint, found: Found) -> Unnamed:
         return unnamed(joint, found, self.scenes, self._answers, self.known.pushes)
@@ -311,7 +333,7 @@ class Explainer:
     def _fast(self, scene: Scene, found: Found, run: int) -> tuple[Spectrum, Array]:
         """The spectrum of what a fit leaves of a run's tip, and its expectations where nothing swings, shape (4, n)."""
         rest, moved = spectra_of(scene, found, run)
-        return rest, self.known.swings.expectations(moved) + gusts.power(scene, found, run, rest)
+        return rest, self.known.swings.expectations(moved) + power(scene, found, run, rest, self._gusts)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
@@ -325,26 +347,9 @@ class Explainer:
     def _may_be(self, effect: Effect) -> bool:
         return effect.name != "temperature_growth" or any(scene.has_temperature for scene in self.scenes)
 
-    def _all_alone(self) -> list[Found]:
-        """Each run by itself; one that ended badly once more from where the others did."""
-        base = self.known.base.of_single_runs()
-        joints = []
-        for scene in self.scenes:
-            parts = chance.covariances(scene, scene.answers(base.mean, Change()))
-            joints.append(Joint([ready(scene, base, parts, together=0)], base))
-        fits = [joint.fit(joint.null()) for joint in joints]
-        usual = min(fit.misfit / scene.size for fit, scene in zip(fits, self.scenes, strict=True))
-        out = []
-        for joint, scene, fit in zip(joints, self.scenes, fits, strict=True):
-            tried = [fit]
-            if fit.misfit / scene.size > _BADLY * usual:
-                starts = [other for other in fits if other is not fit]
-                tried += [joint.fit(Found(Hypothesis(), np.zeros(0), o.traits.copy(), o.start * 0.0)) for o in starts]
-            out.append(min(tried, key=lambda one: one.misfit))
-        return out
-
-    def _answer(self, found: Found) -> None:
-        """How the runs answer chance and what the law is wrong in, about the plants of a fit, with its causes."""
+    def _answer(self, found: Found, gusts: Gusts) -> None:
+        """How the runs answer chance, what the law is wrong in, and gusts, about a fit's plants, with its causes."""
+        self._gusts = gusts
         change = found.hypothesis.change(found.coordinates)
         self._answers = [
             scene.answers(traits + change.traits, change)
@@ -353,7 +358,7 @@ class Explainer:
         self._errors = []
         for run, (scene, traits) in enumerate(zip(self.scenes, found.traits, strict=True)):
             shift, errors = self.known.errors.of_run(scene, traits, change, len(self.scenes))
-            self._errors.append((shift, errors + gusts.covariance(scene, found, run)))
+            self._errors.append((shift, errors + covariance(scene, found, run, gusts)))
 
     def _joint(self, swing: Swing | None) -> Joint:
         runs = []
@@ -379,12 +384,6 @@ def _is_worth_a_name(fit: Found) -> bool:
 def _has_form(effect: Effect) -> bool:
     """Whether nature may do it otherwise than our term does."""
     return effect.where == "plant" and not effect.is_of_constants
-
-
-def _side_by_side(alone: Sequence[Found]) -> Found:
-    traits = np.concatenate([fit.traits for fit in alone])
-    start = np.concatenate([fit.start for fit in alone])
-    return Found(Hypothesis(), np.zeros(0), traits, start)
 
 
 def _without(found: Found, name: str) -> Found:

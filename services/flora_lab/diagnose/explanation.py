@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from flora_lab.diagnose.gusts import CALM, Gusts
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.unnamed import Unnamed
@@ -31,12 +32,14 @@ class Tried:
         gain: evidence beyond that without it, nats, with what was known of the effect before.
         found: the fit, with the cause as its last; None for a swing, which is no part of it.
         swing: for a swing.
+        gusts: for a wind; their evidence is a part of ``gain``.
     """
 
     effect: Effect
     gain: float
     found: Found | None
     swing: Swing | None = None
+    gusts: Gusts = CALM
 
 
 @dataclass(frozen=True, slots=True)

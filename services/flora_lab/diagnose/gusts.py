@@ -3,51 +3,163 @@
 A draught in its elastic form (``WIND`` of :mod:`flora_lab.simulator.terms`) explains the mean push. That it blows
 harder and weaker by turns is left over then, and would be told as something without a name, or as a swing of the tip.
 A gust moves each place of the stem by its share of how far the mean wind holds that place aside: Gaussian processes of
-known shapes in time, of a size that comes with the draught.
+known shapes in time. How gusty a wind is differs, from a fan's to an open window's: sizes are tried, and by how much
+one makes the runs more probable speaks for the wind, whose mean push plants' own lean may hide.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy.linalg
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.joint import Found
-from flora_lab.diagnose.rhythm import Spectrum
-from flora_lab.diagnose.scene import WINDOW_H, Lanes, Scene
+from flora_lab.diagnose import chance
+from flora_lab.diagnose.joint import Found, Joint
+from flora_lab.diagnose.rhythm import ALONE, Spectrum
+from flora_lab.diagnose.scene import START_SD, WINDOW_H, Answers, Lanes, Scene
 from flora_lab.simulator.terms import SOFTNESS_CM, WIND
 
-GUSTS: Final = ((0.2, 0.15), (1.0, 0.15), (5.0, 0.1))
-"""Correlation times, h, and the share of the mean wind that comes and goes with each."""
+MEMORIES_H: Final = (0.2, 1.0, 5.0)
+"""Correlation times."""
+SHARES: Final = (0.0, 0.05, 0.15)
+"""Of the mean wind, that may come and go with each of them."""
+_MORE: Final = (0.0, 1.0, 3.0, 9.0)
+"""So many times as much as is usual a run may wander besides, wind or none."""
+_BY_THEMSELVES: Final = 4.0
+"""Nats that plants which sway by themselves may show, in each of three runs."""
+LOOKED: Final = len(MEMORIES_H) * math.log(len(SHARES))
+"""The price of having looked at so many, in nats."""
 
 
-def covariance(scene: Scene, found: Found, run: int) -> Array:
+@dataclass(frozen=True, slots=True)
+class Gusts:
+    """How gusty a wind is.
+
+    Attributes:
+        shares: of the mean wind, that come and go with each of :data:`MEMORIES_H`.
+        evidence: nats that they add to those for the wind, after what looking cost; none where they may as well be
+            what stems sway by themselves.
+    """
+
+    shares: tuple[float, ...] = (0.0,) * len(MEMORIES_H)
+    evidence: float = 0.0
+
+
+CALM: Final = Gusts()
+
+
+def best_gusts(joint: Joint, scenes: Sequence[Scene], answers: Sequence[Answers], found: Found) -> Gusts:
+    """The gusts that make some runs most probable; :data:`CALM` where none do, or no wind blows.
+
+    A wind that blows on all runs comes and goes in all: what one shows more than any other is taken for no more than
+    what that one shows, for any plant may waver by itself.
+
+    Args:
+        joint: the runs, whitened for what happens by chance without gusts.
+        scenes, answers: the same runs, and how they answer chance.
+        found: their explanation, fitted in ``joint``.
+    """
+    both = zip(scenes, answers, strict=True)
+    by_run = [_nats(joint, scene, own, found, run) for run, (scene, own) in enumerate(both)]
+    borne_out = np.array([_borne_out(each) for each in np.transpose(by_run)])
+    best = int(np.argmax(borne_out))
+    evidence = float(borne_out[best]) - LOOKED - _BY_THEMSELVES
+    return Gusts(_TRIED[best], max(evidence, 0.0))
+
+
+_TRIED: Final = tuple(itertools.product(SHARES, repeat=len(MEMORIES_H)))
+
+
+def _borne_out(each: Array) -> float:
+    """Nats of all runs, shape (runs,), of which the best one counts as much as the next one at most."""
+    if len(each) == 1:
+        return float(each[0]) - ALONE
+    return float(np.minimum(each, np.sort(each)[-2]).sum())
+
+
+def _nats(joint: Joint, scene: Scene, answers: Answers, found: Found, run: int) -> Array:
+    """By how much each of :data:`_TRIED` makes the hourly means of a run more probable, shape (tried,).
+
+    All is linear about the explanation, whose plant is any.
+    """
+    away = _held_aside_cm(scene, found, run, None)
+    if away is None:
+        return np.zeros(len(_TRIED))
+    own = joint.runs[run]
+    of_plant = np.concatenate([found.traits[run] - joint.base.mean, found.start[run]])
+    slopes = found.jacobians[run][:, : len(of_plant)]
+    prior = scipy.linalg.block_diag(joint.base.spread + joint.base.doubt, np.diag(START_SD**2))
+    residual = found.residuals[run] + slopes @ of_plant
+    root = scipy.linalg.cholesky(np.eye(len(residual)) + slopes @ prior @ slopes.T, lower=True)
+
+    def white(values: Array) -> Array:
+        return np.asarray(scipy.linalg.solve_triangular(root, values, lower=True))
+
+    def seen(part: Array) -> Array:
+        padded = np.pad(part, (0, len(residual) - len(part)))
+        return white(white(own.white(own.white(padded).T)).T)
+
+    parts, more = (
+        np.stack([seen(part) for part in _of_means_of_each(scene, away)]),
+        seen(chance.of_wander(scene, answers, joint.base.sizes)),
+    )
+    rest = white(residual)
+    out = np.empty(len(_TRIED))
+    for tried, shares in enumerate(_TRIED):
+        gusty = np.eye(len(rest)) + np.einsum("i,ijk->jk", np.square(shares), parts)
+        out[tried] = max(_probability(rest, gusty + times * more) for times in _MORE)
+    return np.asarray(out - out[_TRIED.index(CALM.shares)])
+
+
+def covariance(scene: Scene, found: Found, run: int, gusts: Gusts) -> Array:
     """What gusts do to the hourly means of a run, shape (m, m); nothing where no wind blows.
 
     Args:
         scene: the run.
         found: its explanation.
         run: which of those explained it is.
+        gusts: of the wind.
     """
-    away = _held_aside_cm(scene, found, run, None)
+    away = None if gusts == CALM else _held_aside_cm(scene, found, run, None)
     if away is None:
         return np.zeros((scene.size, scene.size))
-    moved = scene.of_points(away[:, None])[0]
-    at_h = scene.time_h[scene.window]
-    lag_h = np.abs(at_h[:, None] - at_h[None, :])
-    alike = np.sum([share**2 * _of_means(lag_h, memory_h) for memory_h, share in GUSTS], axis=0)
-    return np.asarray(moved[:, None] * moved[None, :] * alike)
+    return np.asarray(np.einsum("i,ijk->jk", np.square(gusts.shares), _of_means_of_each(scene, away)))
 
 
-def power(scene: Scene, found: Found, run: int, seen: Spectrum) -> Array:
+def power(scene: Scene, found: Found, run: int, seen: Spectrum, gusts: Gusts) -> Array:
     """What gusts add to the spectrum of a tip, cm^2 h, at the frequencies of ``seen``, shape (n,)."""
-    away = _held_aside_cm(scene, found, run, 1)
+    away = None if gusts == CALM else _held_aside_cm(scene, found, run, 1)
     if away is None:
         return np.zeros(len(seen.per_hour))
-    turning = 2.0 * np.pi * seen.per_hour
-    of_one = [share**2 * 2.0 * memory_h / (1.0 + (turning * memory_h) ** 2) for memory_h, share in GUSTS]
-    return np.asarray(np.mean(away[:, -1, 0] ** 2) * np.sum(of_one, axis=0))
+    memory_h = np.array(MEMORIES_H)[:, None]
+    of_one = 2.0 * memory_h / (1.0 + (2.0 * np.pi * seen.per_hour * memory_h) ** 2)
+    return np.asarray(np.mean(away[:, -1, 0] ** 2) * np.square(gusts.shares) @ of_one)
+
+
+def _of_means_of_each(scene: Scene, away_cm: Array) -> Array:
+    """Covariance of hourly means of a run where each of the gusts is as large as the wind, shape (gusts, m, m).
+
+    Args:
+        scene: the run.
+        away_cm: how far the wind holds each point aside, shape (rows told, 10, 2).
+    """
+    moved = scene.of_points(away_cm[:, None])[0]
+    at_h = scene.time_h[scene.window]
+    lag_h = np.abs(at_h[:, None] - at_h[None, :])
+    return np.stack([moved[:, None] * moved[None, :] * _of_means(lag_h, memory_h) for memory_h in MEMORIES_H])
+
+
+def _probability(rest: Array, covariance: Array) -> float:
+    """Its logarithm, up to a constant, of what is left, shape (m,)."""
+    root = scipy.linalg.cholesky(covariance, lower=True)
+    reached = scipy.linalg.solve_triangular(root, rest, lower=True)
+    return -0.5 * float(reached @ reached) - float(np.log(np.diag(root)).sum())
 
 
 def _of_means(lag_h: Array, memory_h: float) -> Array:

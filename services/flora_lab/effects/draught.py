@@ -29,6 +29,8 @@ def sentence(v: Values) -> str:
     return f"something pushes the stem to the {side} all the time (strength {size:.3f} per cm and hour)"
 
 
+FORMS: Final = (turning, pushing, blowing)
+BLOWING: Final = FORMS.index(blowing)
 EFFECT: Final = Effect(
     name="draught",
     title="Steady push to a side",
@@ -47,11 +49,7 @@ EFFECT: Final = Effect(
             least=0.003,
         ),
     ),
-    forms=(
-        turning,
-        pushing,
-        blowing,
-    ),
+    forms=FORMS,
     sentence=sentence,
     first_needs=2.5,
     same_as={
