@@ -29,7 +29,7 @@ from flora_lab.threads import one_blas_thread
 ELASTIC: Final = 2
 """The form of a draught that bends stems elastically."""
 DRIVE_PER_CM_H: Final = 0.15
-WEAK_PER_CM_H: Final = 0.05
+WEAK_PER_CM_H: Final = 0.08
 GUSTS: Final = gusts.Gusts((0.1, 0.1, 0.04))
 
 

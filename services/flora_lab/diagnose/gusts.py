@@ -31,8 +31,9 @@ SHARES: Final = (0.0, 0.05, 0.15)
 """Of the mean wind, that may come and go with each of them."""
 _MORE: Final = (0.0, 1.0, 3.0, 9.0)
 """So many times as much as is usual a run may wander besides, wind or none."""
-_BY_THEMSELVES: Final = 4.0
-"""Nats that plants which sway by themselves may show, in each of three runs."""
+_BY_THEMSELVES: Final = 10.0
+"""Nats that plants may show which sway by themselves: of 28 healthy sets of three runs one had 8, beside a rate of
+growth (docs/results/discovery.md)."""
 LOOKED: Final = len(MEMORIES_H) * math.log(len(SHARES))
 """The price of having looked at so many, in nats."""
 
