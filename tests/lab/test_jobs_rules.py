@@ -72,6 +72,15 @@ def test_what_needs_a_key_or_is_no_work_is_refused(work: str) -> None:
         rules.check(work, [])
 
 
+@pytest.mark.parametrize("work", ["rollout", "evaluate", "rhythm"])
+def test_what_shows_its_results_needs_a_folder_for_them(work: str) -> None:
+    """A job has no screen: it was done, and what it had found was lost."""
+    with pytest.raises(BadInput, match="name a folder for it with -o"):
+        rules.check(work, ["x", "--json", "--offset=1"])
+    for told in (["-o", "out"], ["-oout"], ["--output", "out"], ["--output=out"]):
+        rules.check(work, ["x", *told])
+
+
 def test_every_work_is_a_subcommand_and_those_that_go_on_take_the_option() -> None:
     group = typer.main.get_command(build_app())
     commands = group.commands  # type: ignore[attr-defined]

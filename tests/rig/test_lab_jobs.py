@@ -130,7 +130,7 @@ def test_without_a_lab_that_takes_jobs_it_says_so(bus: Any) -> None:
     bus.start("flora-lab", "serve", "--config", str(bus.config))
     bus.wait_ready(client, "flora-lab")
     # Time enough for the bus of a busy machine: who has not reached it says that it is missing, not the lab.
-    asking = bus.start("flora-lab", "submit", "--config", str(bus.config), "--timeout", "5", "rhythm", "x")
+    asking = bus.start("flora-lab", "submit", "--config", str(bus.config), "--timeout", "5", "report", "x")
     _, err = asking.communicate(timeout=DEADLINE_S)
     assert asking.returncode == 1
     assert "jobs_dir" in err

@@ -24,6 +24,9 @@ OVER: Final[frozenset[JobStage]] = frozenset({"done", "refused", "failed", "stop
 """Stages after which nothing more becomes of a job."""
 KNOWN: Final = "known"
 """Work of a message that only asks how a job is, or ends it."""
+_SHOWN: Final = frozenset({"rollout", "evaluate", "rhythm"})
+"""Subcommands that show what they found where they are told no folder for it; a job has no screen."""
+_OUTPUT: Final = re.compile(r"^(-o|--output(=|$))")
 _REFUSED: Final = ("--cluster",)
 _OPTION: Final = re.compile(r"^-{1,2}[A-Za-z][A-Za-z-]*=?")
 
@@ -46,6 +49,8 @@ def check(work: str, arguments: Sequence[str]) -> None:
         value = argument[option.end() :] if option else argument
         if value.startswith(("/", "~", "\\")) or ".." in re.split(r"[/\\]", value):
             raise BadInput(f"argument `{argument[:60]}`: name files relative to the folder of all jobs, and inside it")
+    if work in _SHOWN and not any(_OUTPUT.match(argument) for argument in arguments):
+        raise BadInput(f"{work}: what it finds would be lost; name a folder for it with -o")
 
 
 def spelled_out(arguments: Sequence[str], folder: Path) -> Iterator[str]:
