@@ -88,7 +88,7 @@ function showNow() {
   const stored = message("stored");
   if (stored) facts.push(["at the NAS", `${stored.stored} files, ${stored.waiting} waiting`]);
   const recording = message("recording");
-  if (recording) facts.push(["recorded", `${recording.messages} messages, ${(recording.bytes / 1048576).toFixed(1)} MiB`]);
+  if (recording) facts.push(["recorded", `${recording.messages} ${recording.messages === 1 ? "message" : "messages"}, ${(recording.bytes / 1048576).toFixed(1)} MiB`]);
   const departure = message("departure");
   if (departure && departure.run === view.run) {
     facts.push(["against its simulation", `tip ${departure.tip_error_mm.toFixed(0)} mm off, ${departure.expected_mm.toFixed(0)} mm expected`]);
