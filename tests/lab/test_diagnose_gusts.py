@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import Final
 
@@ -13,7 +14,7 @@ from diagnose_runs import LAW, TYPICAL, change_of, known, red_noise, run_of, sce
 from flora_common.arrays import Array
 from flora_lab.diagnose import gusts
 from flora_lab.diagnose.explain import Explainer
-from flora_lab.diagnose.explanation import Tried
+from flora_lab.diagnose.explanation import Accepted, Explanation, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.rhythm import spectrum
@@ -99,9 +100,14 @@ def test_where_no_wind_bends_stems_there_are_no_gusts() -> None:
     assert not gusts.power(scene, calm, 0, spectrum(scene.run.points_cm[:, -1, 0], scene.step_h), GUSTS).any()
 
 
-def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
+@functools.cache
+def gusty_explanation() -> Explanation:
     with one_blas_thread():
-        explanation = Explainer([Scene(gusty(84), LAW)], known()).explain()
+        return Explainer([Scene(gusty(84), LAW)], known()).explain()
+
+
+def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
+    explanation = gusty_explanation()
     left = left_of(explanation, known())
     (cause,) = named(explanation, left)
     assert (cause.effect, cause.form, verdict_of([cause], left)) == ("draught", ELASTIC, "explained")
@@ -151,3 +157,15 @@ def test_one_run_of_several_that_sways_by_itself_is_in_no_wind() -> None:
 )
 def test_what_one_run_shows_counts_as_much_as_the_next_one_bears_out(each: tuple[float, ...], nats: float) -> None:
     assert gusts._borne_out(np.array(each)) == nats
+
+
+@pytest.mark.parametrize(("of_push", "is_side_told"), [(-1.0, False), (5.0, True)])
+def test_gusts_do_not_tell_from_which_side_a_wind_blows(of_push: float, is_side_told: bool) -> None:
+    explanation = gusty_explanation()
+    (accepted,) = explanation.accepted
+    tried = replace(accepted.tried, gain=20.0 + of_push, gusts=gusts.Gusts(GUSTS.shares, 20.0))
+    weak = replace(explanation, accepted=(Accepted(tried, accepted.stage),))
+    (cause,) = named(weak, left_of(weak, known()))
+    low, high = cause.interval["drive_per_cm_h"]
+    assert (low == -high) != is_side_told
+    assert ("from which side" in cause.evidence) != is_side_told

@@ -279,16 +279,16 @@ class Explainer:
 
     def _in_gusts(self, joint: Joint, before: Found, tried: Tried) -> Tried:
         """A draught as a wind that comes and goes, where more speaks for that."""
-        fit = tried.found
-        if fit is None or fit.hypothesis.causes[-1].form != draught.BLOWING or not fit.jacobians:
-            look = search.best_start(joint, before, Cause(tried.effect, draught.BLOWING))
-            fit = search.fitted(joint, before, look)
-        if not np.isfinite(fit.evidence):
-            return tried
-        steady = _tried(before, tried.effect, fit)
-        gusts = best_gusts(joint, self.scenes, self._answers, fit)
-        gain = steady.gain + gusts.evidence
-        return tried if gain < tried.gain else replace(steady, gain=gain, gusts=gusts)
+        for form in draught.WINDS:
+            fit = tried.found
+            if fit is None or fit.hypothesis.causes[-1].form != form or not fit.jacobians:
+                look = search.best_start(joint, before, Cause(tried.effect, form))
+                fit = search.fitted(joint, before, look)
+            if np.isfinite(fit.evidence):
+                steady, gusts = _tried(before, tried.effect, fit), best_gusts(joint, self.scenes, self._answers, fit)
+                wind = replace(steady, gain=steady.gain + gusts.evidence, gusts=gusts)
+                tried = max(wind, tried, key=lambda one: one.gain)
+        return tried
 
     def _unnamed(self, joint: Joint, found: Found) -> Unnamed:
         return unnamed(joint, found, self.scenes, self._answers, self.known.pushes)

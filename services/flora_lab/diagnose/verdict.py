@@ -12,13 +12,13 @@ import scipy.stats
 
 from flora_common.arrays import Array
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
-from flora_lab.diagnose.explanation import SWING, Explanation, Stage, Tried
+from flora_lab.diagnose.explanation import FIRST, SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
-from flora_lab.effects.effect import Effect, Parameter, is_same
+from flora_lab.effects.effect import Parameter, is_same
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,7 @@ _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
 _ABOUT_H: Final = 6
 """What is left is averaged over so many hours to say when it is most."""
+_BY_GUSTS: Final = "wind bends the stem; its gusts tell so, and these runs hardly tell from which side"
 _FEATURE_WORDS: Final = (
     "where the tip is sideways",
     "how high the tip is",
@@ -184,6 +185,10 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
             interval = _intervals(cause.parameters, found.coordinates[own], found.covariance[own, own])
             parameters = {p.name: _told(p, values[best.effect.name][p.name]) for p in cause.parameters}
             form = cause.form
+        text = best.effect.sentence(parameters)
+        if not _is_side_told(best):
+            text = _BY_GUSTS
+            interval = {name: (-max(map(abs, ends)), max(map(abs, ends))) for name, ends in interval.items()}
         out.append(
             NamedCause(
                 effect=best.effect.name,
@@ -192,7 +197,7 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
                 confidence=round(sure, 3),
                 p_value=_p_value(stage),
                 confusable_with=[t.effect.name for t in alike],
-                evidence=_sentence(best.effect, parameters, best.gain, alike),
+                evidence=_sentence(text, best.gain, alike),
                 nats=round(best.gain, 1),
                 form=form,
             )
@@ -283,8 +288,12 @@ def _widened(interval: tuple[float, float], value: float, share: float) -> tuple
     return value - float(np.hypot(WIDER * low, share * value)), value + float(np.hypot(WIDER * high, share * value))
 
 
-def _sentence(effect: Effect, values: dict[str, float], nats: float, alike: Sequence[Tried]) -> str:
-    text = effect.sentence(values)
+def _is_side_told(tried: Tried) -> bool:
+    """Whether more than its gusts, which are the same from either side, speaks for a wind."""
+    return tried.gusts.evidence == 0.0 or tried.gain - tried.gusts.evidence >= FIRST
+
+
+def _sentence(text: str, nats: float, alike: Sequence[Tried]) -> str:
     text = text[0].upper() + text[1:]
     told = f"{text}: with it the runs are {times_as_probable(nats)}."
     if alike:
