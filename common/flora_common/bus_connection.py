@@ -146,7 +146,7 @@ class _Watched:
 
 
 class Handshakes:
-    """The connections of one participant to the bus: the first one's life, and how those over TCP are received.
+    """The connections of one participant to the bus: the life of each, and how those over TCP are received.
 
     Args:
         connections: sockets that are about to connect, and where to.
@@ -159,7 +159,7 @@ class Handshakes:
         self._watched = [
             _Watched(socket, endpoint, has_keys=keys is not None)
             for socket, endpoint in connections
-            if is_tcp(endpoint) or (endpoint == first and self._has_life)
+            if not endpoint.startswith(_IN_PROCESS)
         ]
 
     @property
@@ -192,7 +192,7 @@ class Handshakes:
 
     @property
     def _is_met(self) -> bool:
-        return bool(self._watched) and self._watched[0].is_met
+        return bool(self._watched) and all(watched.is_met for watched in self._watched)
 
     def tend(self) -> None:
         """Read what is told, and try again where a refusal was long enough ago; never waits."""

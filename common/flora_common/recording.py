@@ -139,8 +139,8 @@ class RecordingWriter:
             make_folder(path.parent)
             self._file = self.open_path.open("xb", buffering=0)
             # Until its end, or that of the process: who looks for what a crash has left open leaves it alone.
-            with contextlib.suppress(OSError):
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(OSError):  # waited for: who looks whether it is held holds it for a moment
+                fcntl.flock(self._file, fcntl.LOCK_EX)
             fsync_folder(path.parent)
         except OSError as problem:
             raise store_error(self.open_path, problem) from problem

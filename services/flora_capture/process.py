@@ -69,7 +69,6 @@ class CameraProcess:
 
     def start(self) -> None:
         """Start a child unless there is one, or is to be none any more."""
-        self._is_waiting = False
         if self._child is not None or self._is_over:
             return
         self._ended = [child for child in self._ended if child.poll() is None]
@@ -87,7 +86,7 @@ class CameraProcess:
             return
         assert child.stdout is not None
         os.set_blocking(child.stdout.fileno(), False)
-        self._child = child
+        self._child, self._is_waiting = child, False
         self._loop.on_readable(child.stdout.fileno(), self._readable)
         self._send(pack(self._settings))
 
@@ -137,6 +136,7 @@ class CameraProcess:
 
     def _start_if_waiting(self) -> None:
         if self._is_waiting:
+            self._is_waiting = False
             self.start()
 
     def _send(self, data: bytes) -> None:

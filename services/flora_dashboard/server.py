@@ -143,9 +143,9 @@ class PageServer:
         if self._unanswered >= SILENT_CHECKS:
             raise RuntimeError(f"the page's server has given no sign, asked {SILENT_CHECKS} times")
         if self._loop is not None:
-            if self._unanswered == 0:
+            self._unanswered += 1  # before it is asked: it may answer at once
+            if self._unanswered == 1:
                 self._loop.call_soon_threadsafe(self._sign)
-            self._unanswered += 1
         refused, self._refused = self._refused, 0
         return f"{refused} connections were refused: too many are open" if refused else ""
 

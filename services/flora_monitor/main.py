@@ -93,7 +93,7 @@ def tail(
 ) -> None:
     """Every message as it comes: one line each, with the time since the one before on its topic."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
-    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    board, listener, began_s = common.board(), common.listener(pattern, waits=seconds is None), time.monotonic()
     console = Console(highlight=False, soft_wrap=False)
     shown = 0
     with _summed_up(lambda: _said(board, began_s)):
@@ -125,7 +125,7 @@ def rates(
 ) -> None:
     """How often each topic comes, how evenly, what is missing; red when late."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
-    board, listener, began_s = common.board(interval), common.listener(pattern), time.monotonic()
+    board, listener, began_s = common.board(interval), common.listener(pattern, waits=seconds is None), time.monotonic()
 
     def heard() -> Iterator[Batch]:
         for batch in _until(listener, seconds, began_s):
@@ -166,7 +166,7 @@ def topics(
 ) -> None:
     """The catalogue, and what of it has been heard: the bus tells what it keeps at once."""
     common = common_options(config, rig, publish, subscribe, as_json=as_json)
-    board, listener, began_s = common.board(), common.listener(pattern, without_bus=IS_IT_RUNNING), time.monotonic()
+    board, listener, began_s = common.board(), common.listener(pattern, waits=False), time.monotonic()
     with _summed_up(lambda: _said(board, began_s)):
         for batch in _until(listener, seconds, began_s, every_s=0.05):
             for arrival in batch.arrivals:
@@ -239,7 +239,7 @@ def record(
         raise BadInput(f"{file}: a recording's name ends in .mcap")
     can_be_made(file, "FILE")
     common = common_options(config, rig, publish, subscribe, as_json=False)
-    board, listener, began_s = common.board(), common.listener(pattern), time.monotonic()
+    board, listener, began_s = common.board(), common.listener(pattern, waits=seconds is None), time.monotonic()
     clock = SystemClock()
     writer = _new_recording(file, rig)
 

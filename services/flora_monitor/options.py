@@ -16,7 +16,7 @@ from flora_common.errors import BadInput, BadRunFolder
 from flora_common.health import ONLY_LOOKS, services_of_catalogue
 from flora_common.runs import RunFolder
 from flora_common.suggest import did_you_mean
-from flora_monitor.listen import Listener
+from flora_monitor.listen import IS_IT_RUNNING, Listener
 from flora_monitor.stats import Board, checked_pattern, matches
 
 DEFAULT_TICK_S: Final = 300.0
@@ -71,7 +71,9 @@ class Common:
     def board(self, interval_s: float | None = None) -> Board:
         return Board(tick_s=self.tick_s(interval_s), health_s=self.rig.health_every_s, is_lock_step=self.is_lock_step)
 
-    def listener(self, pattern: str = "*", *, without_bus: str = "waiting for it") -> Listener:
+    def listener(self, pattern: str = "*", *, waits: bool = True) -> Listener:
+        """Of this rig; where no bus answers it says that it waits for one, or asks."""
+        without_bus = "waiting for it" if waits else IS_IT_RUNNING
         return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, without_bus=without_bus)
 
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pytest
 import scipy.integrate
-from diagnose_runs import LAW, TYPICAL, change_of, known, red_noise, run_of, scene_of
+from diagnose_runs import LAMPS, LAW, TYPICAL, change_of, known, red_noise, run_of, scene_of
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import gusts
@@ -19,16 +19,18 @@ from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.rhythm import spectrum
 from flora_lab.diagnose.scene import Lanes, Scene
-from flora_lab.diagnose.verdict import left_of, named, verdict_of
+from flora_lab.diagnose.verdict import left_of, meaning, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
+from flora_lab.effects.draught import LATE_CM
 from flora_lab.effects.effect import Change
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.sag import SOFTNESS_CM
-from flora_lab.simulator.terms import WIND
+from flora_lab.simulator.terms import SOFTNESS_CM as SOFT
+from flora_lab.simulator.terms import WIND, ExtendedLaw
 from flora_lab.threads import one_blas_thread
 
-ELASTIC: Final = 2
-"""The form of a draught that bends stems elastically."""
+ELASTIC, BOWING = 2, 3
+"""The forms of a draught that bends stems elastically."""
 DRIVE_PER_CM_H: Final = 0.15
 WEAK_PER_CM_H: Final = 0.08
 GUSTS: Final = gusts.Gusts((0.1, 0.1, 0.04))
@@ -168,4 +170,13 @@ def test_gusts_do_not_tell_from_which_side_a_wind_blows(of_push: float, is_side_
     (cause,) = named(weak, left_of(weak, known()))
     low, high = cause.interval["drive_per_cm_h"]
     assert (low == -high) != is_side_told
-    assert ("from which side" in cause.evidence) != is_side_told
+    said = meaning(BY_NAME["draught"], cause.parameters, cause.interval)
+    assert ("from which side" in cause.evidence) == ("from which side" in said) != is_side_told
+
+
+def test_a_simulator_that_knows_how_soft_its_sagging_stems_are_keeps_it_in_a_wind() -> None:
+    sagging = change_of({"sag": {"amplitude": 0.7}}).terms
+    scene = Scene(run_of(82), ExtendedLaw(LAMPS, terms=sagging))
+    wind = change_of({"draught": {"drive_per_cm_h": 0.1}}, {"draught": BOWING})
+    assert scene.terms_with(wind)[SOFT] == sagging[SOFT]
+    assert Scene(run_of(82), LAW).terms_with(wind)[SOFT] == LATE_CM

@@ -43,6 +43,31 @@ def test_a_camera_that_hangs_is_killed_within_30_s_and_the_next_tick_is_photogra
     assert rig.count("starts") == 2
 
 
+def test_however_often_a_camera_is_asked_for_that_cannot_be_started_there_is_one_next_try(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each tick began a row of tries of its own: after a day there were five in every second."""
+    app = rig.start()
+    until(app, lambda: rig.count("starts") == 1)
+    rig.camera("die")
+    app.hear(lit(1))
+    announced(app, 1)
+    tries: list[int] = []
+
+    def no_room(*_: object, **__: object) -> None:
+        tries.append(1)
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(subprocess, "Popen", no_room)
+    for tick in range(2, 12):
+        app.hear(lit(tick))
+        announced(app, tick)
+        app.pass_real_s(300.0)
+    late = len(tries)
+    app.pass_real_s(600.0)
+    assert 5 <= len(tries) - late <= 15
+
+
 def test_camera_processes_that_no_signal_ends_do_not_pile_up(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     stuck: list[subprocess.Popen[bytes]] = []
     end = subprocess.Popen.kill

@@ -21,7 +21,7 @@ import pytest
 from announced_frames import announced
 from flora_common.errors import ConfigError
 from flora_dashboard.photographs import Photographs
-from flora_dashboard.server import PageServer, listen, url_of
+from flora_dashboard.server import SILENT_CHECKS, PageServer, listen, url_of
 from flora_dashboard.web import PAGE, make_app
 
 WITHIN_S = 10.0
@@ -191,6 +191,24 @@ def test_a_server_that_hangs_is_noticed(served: Served, monkeypatch: pytest.Monk
             served.server.check()
     finally:
         release.set()
+
+
+def test_a_server_that_answers_while_it_is_asked_is_asked_again(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was not: its answer came before it was noted that it had been asked, and six checks later it had none."""
+    asked: list[int] = []
+
+    def at_once(answer: Callable[[], None]) -> None:
+        asked.append(1)
+        answer()
+
+    assert served.server._loop is not None
+    monkeypatch.setattr(served.server._loop, "call_soon_threadsafe", at_once)
+    for _ in range(SILENT_CHECKS + 2):
+        served.server.check()
+    assert len(asked) == SILENT_CHECKS + 2
+    monkeypatch.undo()
 
 
 def test_who_asks_for_signs_may_stand_still_and_all_of_the_process_with_it(

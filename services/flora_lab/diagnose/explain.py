@@ -260,9 +260,7 @@ class Explainer:
                 beside = swinging, swinging.fit(_started(before))
                 # A swing explains something of the hours' means, too, and a cause may make fast errors vanish.
                 slower = swinging.probability(beside[1]) - joint.probability(before)
-                faster = max(
-                    (t.gain + self._faster(before, t.found) for t in tried[:3] if t.found is not None), default=0.0
-                )
+                faster = max((t.gain + self._faster(before, t) for t in tried[:3] if t.found is not None), default=0.0)
                 own = replace(own, gain=own.gain + max(0.0, slower))
                 tried.insert(0 if own.gain > faster else 1, own)
         found = Stage(before, tuple(tried), self._unnamed(joint, before))
@@ -284,7 +282,7 @@ class Explainer:
             if fit is None or fit.hypothesis.causes[-1].form != form or not fit.jacobians:
                 look = search.best_start(joint, before, Cause(tried.effect, form))
                 fit = search.fitted(joint, before, look)
-            if np.isfinite(fit.evidence):
+            if np.isfinite(fit.evidence) and _is_worth_a_name(fit):
                 steady, gusts = _tried(before, tried.effect, fit), best_gusts(joint, self.scenes, self._answers, fit)
                 wind = replace(steady, gain=steady.gain + gusts.evidence, gusts=gusts)
                 tried = max(wind, tried, key=lambda one: one.gain)
@@ -315,25 +313,27 @@ class Explainer:
 
     def _swing(self, before: Found) -> Tried:
         """The best swing of the tip in what a fit leaves."""
-        fast = (self._fast(scene, before, i) for i, scene in enumerate(self.scenes))
+        fast = (self._fast(scene, before, i, self._gusts) for i, scene in enumerate(self.scenes))
         left, expected = zip(*fast, strict=True)
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
         gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
         return Tried(BY_NAME[SWING], gain, None, swing)
 
-    def _faster(self, before: Found, after: Found) -> float:
-        """Nats by which fast errors are more probable after a fit than before it."""
+    def _faster(self, before: Found, after: Tried) -> float:
+        """Nats by which fast errors are more probable with one cause more than before it."""
+        assert after.found is not None
+        gusts = self._gusts if after.gusts == CALM else after.gusts
         total = 0.0
         for i, scene in enumerate(self.scenes):
-            for found, sign in ((before, 1.0), (after, -1.0)):
-                total += sign * rhythm.improbability(*self._fast(scene, found, i))
+            for found, own, sign in ((before, self._gusts, 1.0), (after.found, gusts, -1.0)):
+                total += sign * rhythm.improbability(*self._fast(scene, found, i, own))
         return total
 
-    def _fast(self, scene: Scene, found: Found, run: int) -> tuple[Spectrum, Array]:
+    def _fast(self, scene: Scene, found: Found, run: int, gusts: Gusts) -> tuple[Spectrum, Array]:
         """The spectrum of what a fit leaves of a run's tip, and its expectations where nothing swings, shape (4, n)."""
         rest, moved = spectra_of(scene, found, run)
-        return rest, self.known.swings.expectations(moved) + power(scene, found, run, rest, self._gusts)
+        return rest, self.known.swings.expectations(moved) + power(scene, found, run, rest, gusts)
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:

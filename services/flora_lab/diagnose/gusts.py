@@ -1,6 +1,6 @@
 """Gusts: no wind is steady, and a stem that it bends elastically follows it within minutes.
 
-A draught in its elastic form (``WIND`` of :mod:`flora_lab.simulator.terms`) explains the mean push. That it blows
+A draught in its elastic forms (``WIND`` of :mod:`flora_lab.simulator.terms`) explains the mean push. That it blows
 harder and weaker by turns is left over then, and would be told as something without a name, or as a swing of the tip.
 A gust moves each place of the stem by its share of how far the mean wind holds that place aside: Gaussian processes of
 known shapes in time. How gusty a wind is differs, from a fan's to an open window's: sizes are tried, and by how much
@@ -32,8 +32,7 @@ SHARES: Final = (0.0, 0.05, 0.15)
 _MORE: Final = (0.0, 1.0, 3.0, 9.0)
 """So many times as much as is usual a run may wander besides, wind or none."""
 _BY_THEMSELVES: Final = 10.0
-"""Nats that plants may show which sway by themselves: of 28 healthy sets of three runs one had 8, beside a rate of
-growth (docs/results/discovery.md)."""
+"""Nats that plants may show which sway by themselves; healthy ones have had 8 (docs/results/discovery.md)."""
 LOOKED: Final = len(MEMORIES_H) * math.log(len(SHARES))
 """The price of having looked at so many, in nats."""
 

@@ -13,6 +13,7 @@ from flora_lab.diagnose.figures import GAIN_NAMES
 from flora_lab.diagnose.next_experiment import NOTHING, NOTHING_TOLD
 from flora_lab.diagnose.replayed import Plant
 from flora_lab.diagnose.residual_words import mm, p_text, percent_sure
+from flora_lab.diagnose.verdict import meaning
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Parameter
 
@@ -79,14 +80,9 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         return "The simulator is right, as far as these runs can show."
     if diagnosis.verdict == "unexplained":
         return "The simulator is wrong in a way that no known cause explains."
-    said = [meaning(cause) for cause in diagnosis.causes]
+    said = [meaning(BY_NAME[cause.effect], cause.parameters, cause.interval) for cause in diagnosis.causes]
     text = said[0] if len(said) == 1 else f"{'; '.join(said[:-1])}; and {said[-1]}"
     return f"{text[:1].upper()}{text[1:]}."
-
-
-def meaning(cause: NamedCause) -> str:
-    """What a cause means, given its values."""
-    return BY_NAME[cause.effect].sentence(cause.parameters)
 
 
 def value_text(parameter: Parameter, value: float) -> str:

@@ -30,6 +30,7 @@ from flora_lab.simulator.terms import (
     NEUTRAL,
     PEAK_H,
     RIGHT_TO_LEFT,
+    SAG,
     SETTLING_H,
     SOFTNESS_CM,
     Driven,
@@ -278,6 +279,8 @@ class Scene:
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
         both[_OF_A_KIND] = np.where(more == NEUTRAL, own, more)[_OF_A_KIND]
+        if own[SAG] != 0.0 and more[SAG] == 0.0:  # how soft its stems are it knows
+            both[SOFTNESS_CM] = own[SOFTNESS_CM]
         return np.asarray(both)
 
     def simulated(self, lanes: Lanes) -> Array:

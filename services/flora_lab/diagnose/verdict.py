@@ -18,7 +18,8 @@ from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
-from flora_lab.effects.effect import Parameter, is_same
+from flora_lab.effects import draught
+from flora_lab.effects.effect import Effect, Parameter, is_same
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,9 +186,7 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
             interval = _intervals(cause.parameters, found.coordinates[own], found.covariance[own, own])
             parameters = {p.name: _told(p, values[best.effect.name][p.name]) for p in cause.parameters}
             form = cause.form
-        text = best.effect.sentence(parameters)
         if not _is_side_told(best):
-            text = _BY_GUSTS
             interval = {name: (-max(map(abs, ends)), max(map(abs, ends))) for name, ends in interval.items()}
         out.append(
             NamedCause(
@@ -197,7 +196,7 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
                 confidence=round(sure, 3),
                 p_value=_p_value(stage),
                 confusable_with=[t.effect.name for t in alike],
-                evidence=_sentence(text, best.gain, alike),
+                evidence=_sentence(meaning(best.effect, parameters, interval), best.gain, alike),
                 nats=round(best.gain, 1),
                 form=form,
             )
@@ -286,6 +285,12 @@ def _intervals(
 def _widened(interval: tuple[float, float], value: float, share: float) -> tuple[float, float]:
     low, high = value - interval[0], interval[1] - value
     return value - float(np.hypot(WIDER * low, share * value)), value + float(np.hypot(WIDER * high, share * value))
+
+
+def meaning(effect: Effect, parameters: dict[str, float], interval: dict[str, tuple[float, float]]) -> str:
+    """What a cause means, given its values and their intervals of 90 %; a draught whose side is not told has none."""
+    may_be_either = effect is draught.EFFECT and all(low == -high for low, high in interval.values())
+    return _BY_GUSTS if may_be_either else effect.sentence(parameters)
 
 
 def _is_side_told(tried: Tried) -> bool:
