@@ -127,11 +127,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Ledger]:
     return ledgers
 
 
-@pytest.mark.usefixtures("roomy_disk")
-@pytest.mark.parametrize("noticed_by", ["the work", "an announcement"])
-def test_a_ledger_that_goes_bad_while_running_is_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noticed_by: str
-) -> None:
+def with_a_bad_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[App, Path, list[Ledger]]:
+    """A service whose ledger goes bad while it runs, its NAS, and the ledgers that it opens."""
     nas = tmp_path / "nas"
     nas.mkdir()
     ledgers = opened(monkeypatch)
@@ -140,6 +137,15 @@ def test_a_ledger_that_goes_bad_while_running_is_replaced(
     app.ready()
     pass_in_pieces(app, 2.0)
     rot(ledgers[0])
+    return app, nas, ledgers
+
+
+@pytest.mark.usefixtures("roomy_disk")
+@pytest.mark.parametrize("noticed_by", ["the work", "an announcement"])
+def test_a_ledger_that_goes_bad_while_running_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, noticed_by: str
+) -> None:
+    app, nas, ledgers = with_a_bad_ledger(tmp_path, monkeypatch)
     picture = b"picture"
     write_bytes(app.run.path / "frames" / "000001.jpg", picture)
     if noticed_by == "an announcement":
@@ -168,14 +174,7 @@ def test_a_ledger_that_goes_bad_while_running_is_replaced(
 def test_a_ledger_that_is_replaced_while_somebody_uploads_by_hand_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    nas = tmp_path / "nas"
-    nas.mkdir()
-    ledgers = opened(monkeypatch)
-    app = App(tmp_path, nas)
-    build(app)  # type: ignore[arg-type]
-    app.ready()
-    pass_in_pieces(app, 2.0)
-    rot(ledgers[0])
+    app, nas, ledgers = with_a_bad_ledger(tmp_path, monkeypatch)
     work_until_trouble(app)
     by_hand = Ledger(app.state_dir, str(nas))
     pass_in_pieces(app, LEDGER_AGAIN_S + 2.0)

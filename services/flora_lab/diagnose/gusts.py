@@ -33,7 +33,8 @@ _MORE: Final = (0.0, 1.0, 3.0, 9.0)
 """So many times as much as is usual a run may wander besides, wind or none."""
 _BY_THEMSELVES: Final = 10.0
 """Nats that plants may show which sway by themselves; healthy ones have had 8 (docs/results/discovery.md)."""
-LOOKED: Final = len(MEMORIES_H) * math.log(len(SHARES))
+_TRIED: Final = tuple(itertools.product(SHARES, repeat=len(MEMORIES_H)))
+LOOKED: Final = math.log(len(_TRIED))
 """The price of having looked at so many, in nats."""
 
 
@@ -73,9 +74,6 @@ def best_gusts(joint: Joint, scenes: Sequence[Scene], answers: Sequence[Answers]
     return Gusts(_TRIED[best], max(evidence, 0.0))
 
 
-_TRIED: Final = tuple(itertools.product(SHARES, repeat=len(MEMORIES_H)))
-
-
 def _borne_out(each: Array) -> float:
     """Nats of all runs, shape (runs,), of which the best one counts as much as the next one at most."""
     if len(each) == 1:
@@ -105,10 +103,8 @@ def _nats(joint: Joint, scene: Scene, answers: Answers, found: Found, run: int) 
         padded = np.pad(part, (0, len(residual) - len(part)))
         return white(white(own.white(own.white(padded).T)).T)
 
-    parts, more = (
-        np.stack([seen(part) for part in _of_means_of_each(scene, away)]),
-        seen(chance.of_wander(scene, answers, joint.base.sizes)),
-    )
+    parts = np.stack([seen(part) for part in _of_means_of_each(scene, away)])
+    more = seen(chance.of_wander(scene, answers, joint.base.sizes))
     rest = white(residual)
     out = np.empty(len(_TRIED))
     for tried, shares in enumerate(_TRIED):
