@@ -16,7 +16,7 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.knowledge import LAW_ROUNDS, blocks, law_of, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
-from flora_lab.simulator.terms import EVEN_LIGHT, SIDE_ALONE
+from flora_lab.simulator.terms import APICAL, BY_AGE, EVEN_LIGHT, SIDE_ALONE
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
 
@@ -121,7 +121,10 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
         {},
         {"side_alone": SIDE_ALONE},
         {"even_light": EVEN_LIGHT},
+        {"apical": APICAL},
         {"side_alone": SIDE_ALONE, "even_light": EVEN_LIGHT},
+        {"by_age": BY_AGE},
+        {"apical": APICAL, "by_age": BY_AGE},
     ],
 )
 def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> None:

@@ -11,7 +11,15 @@ from flora_lab.simulator import terms
 from flora_lab.simulator.law import standing
 from flora_lab.simulator.rod import EARLY_CM, LATE_CM
 from flora_lab.simulator.terms import NEUTRAL, Driven, ExtendedLaw, Seen
-from flora_lab.simulator.tropism import LIGHT_HALF, MATURE, MATURE_EDGE_CM, STIFFENING, TropismLaw
+from flora_lab.simulator.tropism import (
+    GROWTH_EARLY,
+    GROWTH_LATE,
+    LIGHT_HALF,
+    MATURE,
+    MATURE_EDGE_CM,
+    STIFFENING,
+    TropismLaw,
+)
 from flora_lab.simulator.tropism_traits import prior_mean
 
 STEP_H = 1.0 / 12.0
@@ -125,3 +133,27 @@ def test_a_stem_that_leans_to_the_camera_looks_longer() -> None:
     assert short < EARLY_CM
     assert short == pytest.approx(grown(stem(EARLY_CM - 0.5), DARK, STEP_H)[0][-1, 1])
     assert long - plain == pytest.approx(0.1 * 0.5 * (LATE_CM - EARLY_CM), rel=0.05)
+
+
+def test_where_the_apex_alone_senses_light_all_tissue_turns_as_the_apex_does() -> None:
+    first = stem(12.0)
+    pushed = bent(first, DARK, STEP_H, push=0.1)
+    each, apical, half = (bent(first, RIGHT, STEP_H, apical=share) / pushed for share in (0.0, 1.0, 0.5))
+    assert each.max() > 1.2 * each.min()
+    assert apical == pytest.approx(np.full(len(apical), each[-1]), rel=1e-2)
+    assert half == pytest.approx((each + apical) / 2.0, rel=1e-3)
+
+
+def test_of_tissue_that_matures_by_age_a_fast_stem_keeps_a_longer_zone() -> None:
+    """Of the plant, 8 cm are young where it grows at the mean of its early and its late rate."""
+    early, late = np.exp(EVEN[[GROWTH_EARLY, GROWTH_LATE]])
+    mean = (early + late) / 2.0
+    for length_cm, rate in ((EARLY_CM, early), (0.5 * (EARLY_CM + LATE_CM), mean), (LATE_CM, late)):
+        first = stem(length_cm)
+        stems = standing(LAW, first[None])
+        from_tip_cm = length_cm - np.cumsum(stems.length[0, : stems.count[0]])[:-1]
+        aged, ever_young = bent(first, DARK, STEP_H, push=0.1, by_age=1.0), bent(first, DARK, STEP_H, push=0.1)
+        is_young = aged > 0.5 * ever_young.max()
+        assert from_tip_cm[is_young].max() == pytest.approx(8.0 * rate / mean, abs=0.5)
+        if rate == mean:
+            assert aged == pytest.approx(ever_young, rel=1e-9)

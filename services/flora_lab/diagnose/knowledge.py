@@ -18,17 +18,15 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
 from flora_lab.effects.effect import Change
-from flora_lab.effects.law_forms import EVEN_LIGHT, SIDE_ALONE
+from flora_lab.effects.law_forms import OF_LIGHT, OF_TISSUE
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 
 _STEPS: Final = 8
 _PARTS: Final = 6
-_LAWS: Final = ((SIDE_ALONE,), (EVEN_LIGHT,), (SIDE_ALONE, EVEN_LIGHT))
-"""In what the law may be another than it is written, the simpler ones first."""
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-LAW_ROUNDS: Final = learn.ROUNDS * (1 + len(_LAWS))
+LAW_ROUNDS: Final = learn.ROUNDS * (1 + len(OF_LIGHT) + len(OF_TISSUE))
 """How often :func:`law_of` tells that it has come farther."""
 
 
@@ -98,11 +96,13 @@ def law_of(
     """
     law: tuple[Extension, ...] = ()
     best = learn.learned(scenes, on_round)
-    for forms in _LAWS:
-        other = tuple(Extension(form.name, {"amount": 1.0}) for form in forms)
-        rival = learn.learned_from(under(other, scenes), best, on_round)
-        if rival.evidence > best.evidence + _RATHER:
-            law, best = other, rival
+    for choices in (OF_LIGHT, OF_TISSUE):
+        so_far = law
+        for forms in choices:
+            other = (*so_far, *(Extension(form.name, {"amount": 1.0}) for form in forms))
+            rival = learn.learned_from(under(other, scenes), best, on_round)
+            if rival.evidence > best.evidence + _RATHER:
+                law, best = other, rival
     return law, best
 
 

@@ -3,7 +3,7 @@
 How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
 in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
 what else would look like an effect. Small differences are taken for errors of the law (:data:`FORMS`); which of two
-laws it is where they differ much (:data:`SIDE_ALONE`, :data:`EVEN_LIGHT`) is chosen as a whole.
+laws it is where they differ much (:data:`OF_LIGHT`, :data:`OF_TISSUE`) is chosen as a whole.
 """
 
 from __future__ import annotations
@@ -44,6 +44,23 @@ EVEN_LIGHT: Final = _form(
     1.0,
     "0: lamps where they hang; 1: lamps far away, or a plant that turns all of it up or down",
 )
+APICAL: Final = _form(
+    "apical",
+    "The apex alone senses light",
+    terms.APICAL,
+    1.0,
+    "0: each place for itself (Bastien et al. 2015); 1: the apex for all below it, as of coleoptiles (Darwin 1880)",
+)
+BY_AGE: Final = _form(
+    "by_age",
+    "Tissue stiffens and matures at an age, not at a distance from the tip",
+    terms.BY_AGE,
+    1.0,
+    "0: zones of a length that stays; 1: zones that a faster stem draws out (Silk and Erickson 1979)",
+)
+OF_LIGHT: Final = ((SIDE_ALONE,), (EVEN_LIGHT,), (APICAL,), (SIDE_ALONE, EVEN_LIGHT))
+OF_TISSUE: Final = ((BY_AGE,),)
+"""In what a law may be another than it is written, simpler ones first: how light is sensed, and how tissue matures."""
 FORMS: Final = (
     _form(
         "brightness_more",
@@ -76,4 +93,4 @@ FORMS: Final = (
     NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""
-BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT)}
+BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT, APICAL, BY_AGE)}

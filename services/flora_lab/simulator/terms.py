@@ -17,7 +17,7 @@ step:
   ``SOFTNESS_CM``, bends it elastically, with ``SETTLING_H`` as time constant, and the stem feels that bend as any
   other; a ``WIND`` to the right, in the same unit, does the same, pushing as hard on each cm as weight pulls;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
-  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``;
+  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``, ``APICAL``, ``BY_AGE``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
   not at all up to that of 6.5 cm.
 """
@@ -41,11 +41,11 @@ from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_ste
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
 BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE, EVEN_LIGHT = range(11, 19)
-SOFTNESS_CM, SETTLING_H, WIND = range(19, 22)
+SOFTNESS_CM, SETTLING_H, WIND, APICAL, BY_AGE = range(19, 24)
 """Columns of the terms."""
-TERMS: Final = 22
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(TERMS - 8), sag.SOFTNESS_CM, sag.SETTLING_H, 0.0])
-"""Values at which nothing is changed, shape (22,)."""
+TERMS: Final = 24
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(14), sag.SOFTNESS_CM, sag.SETTLING_H, *np.zeros(3)])
+"""Values at which nothing is changed, shape (24,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
@@ -141,7 +141,7 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (22,).
+        t: the terms, shape (24,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
@@ -172,7 +172,16 @@ def extended_step_lane(
         t[SIDEWAYS],
         growth * factor,
         activity,
-        Form(t[BRIGHTNESS_MORE], t[LEAN_MORE], t[EDGE_MORE], t[SPURT_MORE], t[SIDE_ALONE], t[EVEN_LIGHT]),
+        Form(
+            t[BRIGHTNESS_MORE],
+            t[LEAN_MORE],
+            t[EDGE_MORE],
+            t[SPURT_MORE],
+            t[SIDE_ALONE],
+            t[EVEN_LIGHT],
+            t[APICAL],
+            t[BY_AGE],
+        ),
         dt_h,
     )
     if not is_loaded:
@@ -291,7 +300,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (22,).
+        terms: shape (24,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -348,7 +357,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 22).
+            terms: shape (batch, 24).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """

@@ -72,6 +72,9 @@ class Form(NamedTuple):
         side_alone: share of a pull that is the same whatever way the stem points: which side the light comes from
             counts, not how steeply it falls on the stem.
         even_light: share of the light that is everywhere as it is at the anchor, as if lamps were far away.
+        apical: share of light's pull that is everywhere as it is at the apex, which alone senses it.
+        by_age: power of the rate of growth, about the mean of the early and the late one, with which the lengths
+            lengthen over which tissue stiffens and matures: with 1 it does so at an age, wherever it has come to.
     """
 
     brightness_more: float
@@ -80,9 +83,11 @@ class Form(NamedTuple):
     spurt_more: float
     side_alone: float
     even_light: float
+    apical: float
+    by_age: float
 
 
-AS_WRITTEN: Final = Form(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+AS_WRITTEN: Final = Form(*(0.0 for _ in Form._fields))
 
 
 @inlined
@@ -136,6 +141,21 @@ def _light_across(
     return 0.0 if brightness < _DARK else float(across)
 
 
+@jit
+def _growth_cm_per_h(total_cm: float, p: Array, spurt_more: float) -> float:
+    """Elongation of the whole stem."""
+    late = lateness(total_cm)
+    linear = p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * late
+    return float(linear * (1.0 + 4.0 * spurt_more * late * (1.0 - late)) / 24.0)
+
+
+@jit
+def _slowness(total_cm: float, p: Array, spurt_more: float) -> float:
+    """How many times longer than usual a stem of this length takes to grow by a centimetre."""
+    usual = 0.5 * (p[GROWTH_EARLY] + p[GROWTH_LATE]) / 24.0
+    return float(usual / _growth_cm_per_h(total_cm, p, spurt_more))
+
+
 @inlined
 def _bend(
     length: Array,
@@ -161,12 +181,20 @@ def _bend(
     left, right = _acting(seen[1, 0]), _acting(seen[1, 1])
     directions(length, angle, n, sin, cos, x, y)
     edge_cm = MATURE_EDGE_CM if form.edge_more == 0.0 else MATURE_EDGE_CM * fast_exp(form.edge_more)
+    younger = 1.0 if form.by_age == 0.0 else _slowness(total_cm, p, form.spurt_more) ** form.by_age
     for j in range(whole_registers(n)):
-        d = total_cm - arc[j]
+        d = younger * (total_cm - arc[j])
         share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / edge_cm))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
+    at_apex = 0.0
+    if form.apical != 0.0:
+        a = n - 1
+        at_apex = form.apical * _light_across(
+            x[a], y[a], sin[a], cos[a], left, right, left_pull, right_pull, form, lamps_cm
+        )
     for j in range(whole_registers(n)):
         light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form, lamps_cm)
+        light = (1.0 - form.apical) * light + at_apex
         weight = p[GRAVI] * sin[j] * (1.0 + form.lean_more * (sin[j] * sin[j] - _USUAL_LEAN_2))
         higher = max(1.0 - 2.0 * (total_cm - arc[j]) / p[MATURE], -1.0)
         stimulus = p[PHOTO] * light - weight + (bias + gradient * higher) + sideways * cos[j]
@@ -177,14 +205,6 @@ def _bend(
         turn += soft[j] * (pull[j] - p[PROPRIO] * (old - below))
         angle[j] = old + turn
         below = old
-
-
-@jit
-def _growth_cm_per_h(total_cm: float, p: Array, spurt_more: float) -> float:
-    """Elongation of the whole stem."""
-    late = lateness(total_cm)
-    linear = p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * late
-    return float(linear * (1.0 + 4.0 * spurt_more * late * (1.0 - late)) / 24.0)
 
 
 @inlined
