@@ -14,6 +14,7 @@ from flora_lab.simulator.terms import NEUTRAL, Driven, ExtendedLaw, Seen
 from flora_lab.simulator.tropism import (
     GROWTH_EARLY,
     GROWTH_LATE,
+    GROWTH_ZONE,
     LIGHT_HALF,
     MATURE,
     MATURE_EDGE_CM,
@@ -50,6 +51,20 @@ def grown(
     driven = Driven(np.tile(lamps, (steps, 1, 1)), still + bias, still + gradient, still + 1.0, still + 1.0, still)
     LAW.advance_with(stems, EVEN[None], own[None], driven, Seen(still, np.ones(1)), STEP_H, 1, out)
     return out[-1, 0], stems.angle[0, : stems.count[0]]
+
+
+def stretched(first_cm: Array, plant: Array, **form: float) -> Array:
+    """By what share the segments of a stem have become longer in a step in the dark."""
+    own = NEUTRAL.copy()
+    for name, value in form.items():
+        own[getattr(terms, name.upper())] = value
+    stems = standing(LAW, first_cm[None])
+    count, before = int(stems.count[0]), stems.length[0].copy()
+    still = np.zeros((1, 1))
+    driven = Driven(np.zeros((1, 1, 2)), still, still, still + 1.0, still + 1.0, still)
+    LAW.advance_with(stems, plant[None], own[None], driven, Seen(still, np.ones(1)), STEP_H, 1, np.empty((1, 1, 10, 2)))
+    assert stems.count[0] == count
+    return np.asarray(stems.length[0, :count] / before[:count] - 1.0)
 
 
 def bent(first_cm: Array, lamps: tuple[float, float], hours: float, **form: float) -> Array:
@@ -157,3 +172,16 @@ def test_of_tissue_that_matures_by_age_a_fast_stem_keeps_a_longer_zone() -> None
         assert from_tip_cm[is_young].max() == pytest.approx(8.0 * rate / mean, abs=0.5)
         if rate == mean:
             assert aged == pytest.approx(ever_young, rel=1e-9)
+
+
+@pytest.mark.parametrize("length_cm", [EARLY_CM, LATE_CM])
+def test_of_tissue_that_matures_by_age_a_fast_stem_grows_over_a_longer_zone(length_cm: float) -> None:
+    early, late = np.exp(EVEN[[GROWTH_EARLY, GROWTH_LATE]])
+    rate = early if length_cm == EARLY_CM else late
+    zones = []
+    for zone_cm, by_age in ((1.0, 1.0), (2.0 * rate / (early + late), 0.0)):
+        plant = EVEN.copy()
+        plant[GROWTH_ZONE] = np.log(zone_cm)
+        zones.append(stretched(stem(length_cm), plant, by_age=by_age))
+    assert zones[0].max() > 100.0 * zones[0].min()
+    assert zones[0] == pytest.approx(zones[1], rel=1e-6, abs=1e-12)

@@ -53,7 +53,7 @@ APICAL: Final = _form(
 )
 BY_AGE: Final = _form(
     "by_age",
-    "Tissue stiffens and matures at an age, not at a distance from the tip",
+    "Tissue grows, stiffens and matures by its age, not by its distance from the tip",
     terms.BY_AGE,
     1.0,
     "0: zones of a length that stays; 1: zones that a faster stem draws out (Silk and Erickson 1979)",

@@ -73,8 +73,8 @@ class Form(NamedTuple):
             counts, not how steeply it falls on the stem.
         even_light: share of the light that is everywhere as it is at the anchor, as if lamps were far away.
         apical: share of light's pull that is everywhere as it is at the apex, which alone senses it.
-        by_age: power of the rate of growth, about the mean of the early and the late one, with which the lengths
-            lengthen over which tissue stiffens and matures: with 1 it does so at an age, wherever it has come to.
+        by_age: power of the rate of growth, about the mean of the early and the late one, with which the zones lengthen
+            in which tissue grows, is soft, and is not mature: with 1 it leaves them at an age, wherever it has come to.
     """
 
     brightness_more: float
@@ -150,10 +150,9 @@ def _growth_cm_per_h(total_cm: float, p: Array, spurt_more: float) -> float:
 
 
 @jit
-def _slowness(total_cm: float, p: Array, spurt_more: float) -> float:
-    """How many times longer than usual a stem of this length takes to grow by a centimetre."""
-    usual = 0.5 * (p[GROWTH_EARLY] + p[GROWTH_LATE]) / 24.0
-    return float(usual / _growth_cm_per_h(total_cm, p, spurt_more))
+def _quickness(total_cm: float, p: Array, spurt_more: float) -> float:
+    """How many times faster than usual a stem of this length grows."""
+    return float(_growth_cm_per_h(total_cm, p, spurt_more) * 48.0 / (p[GROWTH_EARLY] + p[GROWTH_LATE]))
 
 
 @inlined
@@ -164,6 +163,7 @@ def _bend(
     arc: Array,
     reach: Array,
     total_cm: float,
+    longer: float,
     seen: Array,
     p: Array,
     lamps_cm: Array,
@@ -181,9 +181,9 @@ def _bend(
     left, right = _acting(seen[1, 0]), _acting(seen[1, 1])
     directions(length, angle, n, sin, cos, x, y)
     edge_cm = MATURE_EDGE_CM if form.edge_more == 0.0 else MATURE_EDGE_CM * fast_exp(form.edge_more)
-    younger = 1.0 if form.by_age == 0.0 else _slowness(total_cm, p, form.spurt_more) ** form.by_age
+    shorter = 1.0 / longer
     for j in range(whole_registers(n)):
-        d = younger * (total_cm - arc[j])
+        d = (total_cm - arc[j]) * shorter
         share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / edge_cm))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
     at_apex = 0.0
@@ -236,6 +236,7 @@ def driven_step_lane(
     total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
     bend_h = dt_h * activity
+    longer = 1.0 if form.by_age == 0.0 else _quickness(total, p, form.spurt_more) ** form.by_age
     _bend(
         length,
         angle,
@@ -243,6 +244,7 @@ def driven_step_lane(
         arc,
         reach,
         total,
+        longer,
         seen,
         p,
         lamps_cm,
@@ -255,7 +257,7 @@ def driven_step_lane(
         bend_h,
     )
     grown_cm = max(0.0, growth) * _growth_cm_per_h(total, p, form.spurt_more) * dt_h
-    elongate(length, n, arc, total, p[GROWTH_ZONE], grown_cm)
+    elongate(length, n, arc, total, longer * p[GROWTH_ZONE], grown_cm)
 
 
 @jit
