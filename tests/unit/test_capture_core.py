@@ -133,6 +133,7 @@ def record(tick: int, **changes: object) -> FrameRecord:
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
     (tmp_path / "bean-07").mkdir()
+    (tmp_path / "bean-07" / "run.toml").touch()
     return RunFolder(tmp_path / "bean-07")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -139,6 +140,34 @@ def test_a_disk_that_refuses_is_told_and_the_service_recovers(
     assert isinstance(announced(app, 2), Frame)
     assert app.troubles == {}
     assert [r.file for r in app.run.read_frames()] == ["frames/000002.jpg"]
+
+
+def test_a_run_folder_that_is_moved_away_is_not_begun_anew_in_its_place(rig: Rig) -> None:
+    app = rig.start()
+    app.run.path.rename(rig.folder / "elsewhere")
+    app.hear(lit(1))
+    missed = announced(app, 1)
+    assert (missed.because, "the run folder was moved or removed" in missed.reason) == ("not_written", True)
+    assert "disk" in app.troubles
+    assert not app.run.path.exists()
+    (rig.folder / "elsewhere").rename(app.run.path)
+    app.hear(lit(2))
+    assert isinstance(announced(app, 2), Frame)
+    assert app.troubles == {}
+
+
+def test_a_link_to_the_run_that_leads_to_another_one_meanwhile_brings_no_photograph_there(rig: Rig) -> None:
+    link, first, second = rig.folder / "run", rig.folder / "bean-1", rig.folder / "bean-2"
+    first.mkdir()
+    link.symlink_to(first)
+    app = rig.start()
+    shutil.copytree(first, second)
+    link.unlink()
+    link.symlink_to(second)
+    app.hear(lit(1))
+    assert "leads to another run than at the start" in announced(app, 1).reason
+    assert not list(second.rglob("*.jpg"))
+    assert not (second / "frames.csv").exists()
 
 
 def test_a_table_without_room_is_completed_later(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
