@@ -22,7 +22,8 @@ from flora_monitor.stats import matches
 POLL_MS: Final = 100
 FLUSH_TIMEOUT_MS: Final = 10_000
 LONGEST_PAUSE_S: Final = 1800.0
-"""Real seconds that are waited for at most between two messages; what is longer is passed over."""
+"""Real seconds that are waited for at most between two messages, or hurried after one that is late; what is longer is
+passed over."""
 
 
 @dataclass(slots=True)
@@ -98,7 +99,7 @@ class Player:
             first_ns = recorded.log_time_ns if first_ns is None else first_ns
             if rate is not None:
                 due_s = began_s + (recorded.log_time_ns - first_ns) / NS / rate
-                if due_s - now() > LONGEST_PAUSE_S:  # the wall clock was set: a Pi that has been told the time
+                if abs(due_s - now()) > LONGEST_PAUSE_S:  # the wall clock was set: a Pi that has been told the time
                     began_s -= due_s - now()
                 elif due_s > now():
                     sleep(due_s - now())

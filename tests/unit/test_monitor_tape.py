@@ -45,3 +45,9 @@ def test_nobody_waits_for_years_where_the_wall_clock_was_set() -> None:
     """A Pi that has no clock of its own begins in its past, and is told the time a minute later."""
     assert said_at([0.0, 60.0, 1.8e9, 1.8e9 + 5.0], 1.0) == pytest.approx([0.0, 60.0, 60.0, 65.0])
     assert said_at([0.0, LONGEST_PAUSE_S - 1.0], 1.0) == pytest.approx([0.0, LONGEST_PAUSE_S - 1.0])
+
+
+def test_nobody_hurries_for_hours_where_the_wall_clock_was_set_back() -> None:
+    assert said_at([9000.0, 9060.0, 60.0, 120.0], 1.0) == pytest.approx([0.0, 60.0, 60.0, 120.0])
+    old_kept_value = [9000.0, 60.0, 9001.0, 9002.0]
+    assert said_at(old_kept_value, 1.0) == pytest.approx([0.0, 0.0, 0.0, 1.0])
