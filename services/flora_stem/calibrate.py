@@ -7,13 +7,14 @@ flora-capture stores ``background/<file>`` and says ``frame``; then comes the ne
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import os
 import select
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,9 +23,10 @@ import zmq
 
 from flora_common.bus import BusClient
 from flora_common.cli import ArgumentParser, run_cli
-from flora_common.config import load_config
+from flora_common.config import RigSection, load_config
 from flora_common.errors import BadInput, BusUnreachable, DeviceError, StoreError
 from flora_common.files import fsync_folder, make_folder
+from flora_common.lock import AlreadyHeld, hold_folder
 from flora_common.messages import Frame, FrameMissed, Lamps, Message, Setup
 from flora_common.runs import Light, RunFolder
 from flora_common.service import default_clock
@@ -228,7 +230,7 @@ def wait_for_enter(setup: SetupRun, line: Line) -> None:
     sys.stdin.readline()
 
 
-@contextmanager
+@contextlib.contextmanager
 def _always_ended(setup: SetupRun, line: Line) -> Iterator[None]:
     try:
         yield
@@ -236,6 +238,51 @@ def _always_ended(setup: SetupRun, line: Line) -> Iterator[None]:
         setup.end()
         line.bus.handle_publisher()
         line.bus.close()
+
+
+@contextlib.contextmanager
+def alone(rig: RigSection) -> Iterator[None]:
+    """Keep other setup runs of the rig away meanwhile: each would photograph what the other one has lit.
+
+    Raises:
+        BadInput: there is one.
+    """
+    with contextlib.ExitStack() as held:
+        try:
+            # The folder, no file in it: whoever calibrates as root would leave one that the next person cannot open.
+            held.callback(os.close, hold_folder(Path(rig.state_dir)))
+        except AlreadyHeld:
+            raise BadInput(f"another setup run of rig `{rig.name}` is under way; wait for its end") from None
+        except OSError:
+            pass  # no service has run here yet: the bus will tell
+        yield
+
+
+def photograph(rig: RigSection, run: RunFolder, options: argparse.Namespace) -> None:
+    """The whole setup run.
+
+    Raises:
+        FloraError: there are pictures already, nobody answers, or a picture did not come.
+    """
+    there = run.background_pictures()
+    if there and not options.again:
+        raise BadInput(
+            f"{run.background}: already holds {len(there)} pictures; --again sets them aside and takes new ones"
+        )
+    steps = plan(options.each)
+    clock = default_clock(rig)
+    line = Line(BusClient(rig.bus, rig=rig.name, source=SOURCE, clock=clock))
+    line.bus.subscribe(Lamps, Frame, FrameMissed)
+    setup = SetupRun(steps, timeout_s=options.timeout, say=line.bus.publish)
+    with _always_ended(setup, line):
+        aside = set_aside(run)
+        if aside is not None:
+            print(f"setup run: earlier pictures are in {aside}", file=sys.stderr)
+        take_pictures(setup, line, len(steps))
+        after = "; put the plant in and press Enter" if options.wait else ""
+        print(f"{len(steps)} pictures of the empty setup are in {run.background}{after}", flush=True)
+        if options.wait:
+            wait_for_enter(setup, line)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -248,25 +295,8 @@ def main(argv: Sequence[str]) -> int:
         rig, _ = load_config(options.config, "stem", StemSection)
         run = RunFolder(Path(rig.run_dir))
         run.read_run_file()
-        there = run.background_pictures()
-        if there and not options.again:
-            raise BadInput(
-                f"{run.background}: already holds {len(there)} pictures; --again sets them aside and takes new ones"
-            )
-        steps = plan(options.each)
-        clock = default_clock(rig)
-        line = Line(BusClient(rig.bus, rig=rig.name, source=SOURCE, clock=clock))
-        line.bus.subscribe(Lamps, Frame, FrameMissed)
-        setup = SetupRun(steps, timeout_s=options.timeout, say=line.bus.publish)
-        with _always_ended(setup, line):
-            aside = set_aside(run)
-            if aside is not None:
-                print(f"setup run: earlier pictures are in {aside}", file=sys.stderr)
-            take_pictures(setup, line, len(steps))
-            after = "; put the plant in and press Enter" if options.wait else ""
-            print(f"{len(steps)} pictures of the empty setup are in {run.background}{after}", flush=True)
-            if options.wait:
-                wait_for_enter(setup, line)
+        with alone(rig):
+            photograph(rig, run, options)
 
     return run_cli("flora-stem calibrate", work)
 
