@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import errno
 import importlib.metadata
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -32,6 +33,7 @@ def run_cli(program: str, work: Callable[[], int | None]) -> int:
 
     A bug keeps its traceback: it is not caught here.
     """
+    _write_every_name()
     try:
         status = work() or 0
         _flush_output()
@@ -53,6 +55,12 @@ def run_cli(program: str, work: Callable[[], int | None]) -> int:
         _drop_output()
         print(f"{program}: the output cannot be written ({problem.strerror}); free some space", file=sys.stderr)
         return 1
+
+
+def _write_every_name() -> None:
+    """A file name that is no text, or that the terminal has no signs for, is written with escapes, as stderr does."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _flush_output() -> None:

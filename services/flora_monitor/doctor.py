@@ -7,13 +7,14 @@ written but with ``--touch``, and then nothing that a running service holds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from flora_common.config import RigSection
+from flora_common.files import shown
 from flora_common.health import ONLY_LOOKS, services_of_catalogue
 from flora_monitor.doctor_case import Case, Heard, check_config, print_configs
 from flora_monitor.doctor_devices import check_camera, check_flash, check_strips
@@ -132,7 +133,7 @@ def sentence(finding: Finding) -> str:
 
 def json_of(finding: Finding) -> str:
     """For programs: one object."""
-    return msgspec.json.encode(finding).decode()
+    return msgspec.json.encode(replace(finding, text=shown(finding.text))).decode()
 
 
 def summary(findings: list[Finding]) -> str:

@@ -15,6 +15,7 @@ from flora_common.bus import BusAddress, SequenceCheck, bound
 from flora_common.bus_connection import Handshakes, connect, prepare_to_connect
 from flora_common.clock import NS, unix_seconds
 from flora_common.errors import BadMessage, BusUnreachable
+from flora_common.files import shown
 from flora_common.messages import decode, split_topic
 from flora_common.recording_reader import Recorded, RecordingReader
 from flora_monitor.stats import matches
@@ -191,12 +192,17 @@ def check_lines(checked: Checked) -> Iterator[str]:
     yield f"{'topic':<28} {'messages':>9} {'lost':>6} {'repeated':>9} {'bad':>6}"
     for name in sorted(checked.topics):
         topic = checked.topics[name]
-        shown = name.encode("unicode_escape").decode()
-        yield f"{shown:<28} {topic.messages:>9} {topic.lost:>6} {topic.repeated:>9} {topic.bad:>6}"
+        escaped = name.encode("unicode_escape").decode()
+        yield f"{escaped:<28} {topic.messages:>9} {topic.lost:>6} {topic.repeated:>9} {topic.bad:>6}"
 
 
 def to_json(path: Path, checked: Checked) -> str:
     """The whole check as one JSON object."""
     topics = [checked.topics[name] for name in sorted(checked.topics)]
-    whole = {"file": str(path), "messages": checked.messages, "whole": not checked.problem, "problem": checked.problem}
+    whole = {
+        "file": shown(path),
+        "messages": checked.messages,
+        "whole": not checked.problem,
+        "problem": checked.problem,
+    }
     return msgspec.json.encode(whole | {"metadata": checked.metadata, "topics": topics}).decode()

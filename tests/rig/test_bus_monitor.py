@@ -370,6 +370,14 @@ def test_check_takes_several_files_and_its_status_is_the_worst(tmp_path: Path) -
         assert done.stderr.count("cannot be read (No such file or directory)") == len(files) - len(there)
 
 
+def test_check_of_a_file_whose_name_is_no_text_tells_it_as_far_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / os.fsdecode(b"b\xff.mcap")
+    recording(tmp_path).rename(file)
+    done = subprocess.run([*live_command("check"), str(file)], capture_output=True, text=True, check=False, timeout=20)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["file"] == f"{tmp_path}/b\N{REPLACEMENT CHARACTER}.mcap"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

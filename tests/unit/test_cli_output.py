@@ -80,3 +80,13 @@ def test_other_errors_without_a_file_name_keep_their_traceback() -> None:
     assert done.returncode == 1
     assert b"a bug of ours" in done.stderr
     assert done.stderr.count(b"\n") > 1
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
+def test_a_name_that_the_terminal_cannot_show_is_written_with_escapes(encoding: str) -> None:
+    """As in every locale but C: strict, so that a name of bytes from an old disk would end in a traceback."""
+    code = SHORT.replace('"one line"', '"b\\udcff: good"')
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, env={**os.environ, "PYTHONIOENCODING": encoding}, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"b\\udcff: good\n", b"")

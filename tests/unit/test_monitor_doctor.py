@@ -159,6 +159,11 @@ def test_a_sentence_says_the_verdict_where_its_mark_would_not() -> None:
     assert json.loads(json_of(Finding("NAS", "wrong", "gone"))) == {"part": "NAS", "verdict": "wrong", "text": "gone"}
 
 
+def test_a_file_whose_name_is_no_text_is_told_to_programs_too() -> None:
+    finding = Finding("configuration", "good", os.fsdecode(b"/etc/b\xff/flora.toml: read"))
+    assert json.loads(json_of(finding))["text"] == "/etc/b\N{REPLACEMENT CHARACTER}/flora.toml: read"
+
+
 def test_one_file_goes_to_the_nas_and_back_and_is_gone_again(tmp_path: Path) -> None:
     (tmp_path / ".flora-nas").touch()
 
