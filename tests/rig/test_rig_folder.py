@@ -121,6 +121,13 @@ def test_of_two_demos_that_begin_at_once_each_has_a_page_of_its_own(monkeypatch:
         assert experiment.take_port(third) == free
 
 
+def test_a_folder_that_no_configuration_can_name_is_refused(tmp_path: Path) -> None:
+    out = tmp_path / os.fsdecode(b"b\xff")
+    with pytest.raises(BadInput, match="is not UTF-8 text"), claimed(out, DEMO):
+        pass
+    assert not out.exists()
+
+
 def test_other_work_in_the_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "nine").mkdir()
     (tmp_path / "nine" / "track.csv").write_text("mine")

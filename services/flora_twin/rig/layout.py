@@ -15,7 +15,7 @@ import msgspec
 import tomli_w
 
 from flora_common.errors import BadInput
-from flora_common.files import make_folder, write_text
+from flora_common.files import make_folder, shown, write_text
 from flora_common.lock import AlreadyHeld, hold
 from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET
 from flora_common.runs import ObstacleSection, RunFile, RunFolder, TargetSection, run_file_text
@@ -78,8 +78,10 @@ def claimed(out: Path, made_by: str) -> Iterator[Path]:
         made_by: the command.
 
     Raises:
-        BadInput: it holds something else, cannot be written, or another process is at work there.
+        BadInput: it holds something else, cannot be written, another process is at work there, or no configuration
+            can name it.
     """
+    _check_name(out)
     _check_maker(out, made_by)
     root = out / RIG_FOLDER
     try:
@@ -97,6 +99,12 @@ def claimed(out: Path, made_by: str) -> Iterator[Path]:
         yield root
     finally:
         os.close(lock)
+
+
+def _check_name(out: Path) -> None:
+    path = str(out.resolve())
+    if path != shown(path):
+        raise BadInput(f"{path}: is not UTF-8 text, which a rig's configuration is; choose another folder")
 
 
 def _check_maker(out: Path, made_by: str) -> None:
