@@ -6,7 +6,7 @@ made up for are counted and left out, so two photographs are never closer than h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 import msgspec
@@ -38,7 +38,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Photographed:
-    """How far the photographs of a run have come.
+    """How far the photographs of a run have come, those that were missed included where flora-capture told of them.
 
     Attributes:
         tick: the highest number among them; 0 where none has one.
@@ -184,6 +184,14 @@ class Beat:
             self.state = msgspec.structs.replace(self.state, due_s=max(self.state.due_s, tick.time_s - tick.late_s))
             if tick.t_mono_ns:  # an absence may have been measured since the file was written
                 self._zero_ns = min(self._zero_ns, tick.t_mono_ns - round(tick.time_s * NS))
+
+    def answered(self, seen: Photographed) -> None:
+        """A tick that flora-capture has answered, and the file does not know of: others have counted it already.
+
+        Before the run's first tick its time is that of the run before.
+        """
+        seen = seen if self.state.begun else replace(seen, time_s=None)
+        self.state = caught_up(self.state, seen, interval_s=self._interval_s)
 
     def is_recent(self, now: Reading) -> bool:
         """Whether the last number was given out so lately that it can still be photographed.

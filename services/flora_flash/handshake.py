@@ -15,7 +15,7 @@ from flora_common.messages import Flash, Frame, FrameMissed, Lamps, Setup, Tick
 from flora_common.messages.envelope import as_sentence
 from flora_common.setup_run import SETUP_LEASE_S
 from flora_flash.backends import Lamp, NoLamp
-from flora_flash.core import STATE_FILE, Beat, Reading
+from flora_flash.core import STATE_FILE, Beat, Photographed, Reading
 
 DARK_AGAIN_S: Final = 5.0
 BOX_AGAIN_S: Final = 1.0
@@ -116,6 +116,9 @@ class FlashService:
         written = self._beat.state
         if tick is not None:
             self._beat.heard(tick)
+        for answer in (inbox.last(Frame), inbox.last(FrameMissed)):
+            if answer is not None:  # a bus that was started again, too, has these, and no tick of ours
+                self._beat.answered(Photographed(answer.tick, answer.time_s if answer.purpose == "run" else None))
         if self._beat.state.tick != written.tick or not self._beat.is_recent(now):
             self._proceed()
             return

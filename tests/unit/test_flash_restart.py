@@ -61,6 +61,40 @@ def test_a_full_disk_does_not_stop_the_beat(
     assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(3, pytest.approx(600.0, abs=2.0))]
 
 
+def test_on_a_full_disk_and_a_bus_that_was_started_again_too_no_number_is_given_out_twice(
+    rig: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """flora-capture, which runs on, has counted them: it would not photograph them once more."""
+
+    def refuse(*_: object) -> None:
+        raise DiskFull("full")
+
+    def missed(tick: int) -> FrameMissed:
+        return FrameMissed(tick=tick, time_s=300.0 * (tick - 1), because="disk_full", reason="full")
+
+    r = rig()
+    app = r.start()
+    app.hear(frame(1))
+    with monkeypatch.context() as patch:
+        patch.setattr(handshake, "write_text", refuse)
+        for tick in (2, 3, 4):
+            app.pass_s(300.0)
+            app.hear(missed(tick))
+    again = r.start(missed(4))  # all that the new bus knows, from flora-capture
+    again.pass_s(299.0)
+    assert again.heard(Tick) == []
+    again.pass_s(2.0)
+    assert [(t.tick, t.time_s, t.skipped) for t in again.heard(Tick)] == [(5, pytest.approx(1200.0, abs=2.0), 0)]
+
+
+def test_a_photograph_of_the_run_before_that_the_bus_has_kept_gives_its_number_and_no_time(
+    rig: Callable[..., Rig],
+) -> None:
+    old = FrameMissed(tick=900, time_s=260_000.0, because="disk_full", reason="full")
+    app = rig().start(old)
+    assert [(t.tick, t.time_s) for t in app.heard(Tick)] == [(901, 0.0)]
+
+
 def test_killed_before_it_was_announced_the_tick_is_announced(rig: Callable[..., Rig]) -> None:
     r = rig()
     r.start()
