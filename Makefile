@@ -29,8 +29,9 @@ $(STAMP): pyproject.toml deploy/constraints.txt deploy/make-venv.sh
 demo: setup  ## grow a virtual bean round an obstacle with all services; result in out/ (SPEED=lockstep|realtime|N, SEED=1)
 	@$(BIN)/flora-twin demo --out out --seed $(SEED) --speed $(SPEED)
 
+# What is given to make it hands on in the environment, as it is: a folder's name may hold an apostrophe.
 deploy: setup  ## bring a signed controller to a rig (CONTROLLER=file RIG=name, HOST=user@host, CONFIG=flora.toml, SHADOW=ticks)
-	@CONTROLLER='$(CONTROLLER)' RIG='$(RIG)' HOST='$(HOST)' CONFIG='$(CONFIG)' SHADOW='$(SHADOW)' deploy/publish-controller.sh $(BIN)
+	@deploy/publish-controller.sh $(BIN)
 
 install-rig: setup  ## install this checkout on a rig over ssh, back to what ran before where it is not well (RIG=user@host)
 	@$(BIN)/python deploy/install_rig.py '$(RIG)'

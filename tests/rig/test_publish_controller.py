@@ -321,11 +321,26 @@ def test_deploy_says_in_one_line_what_is_missing(bus: PrivateBus) -> None:
     assert all(d.stderr.count("\n") == 1 for d in (nothing, no_rig, no_file))
 
 
-def test_make_hands_its_variables_to_the_script() -> None:
+def test_make_hands_its_variables_to_the_script_as_they_are(tmp_path: Path) -> None:
+    command = tmp_path / "flora-lab"
+    command.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    command.chmod(0o755)
+    given = {"CONTROLLER": "Ada's best.controller.json", "RIG": "r", "CONFIG": 'a "b"; c.toml', "SHADOW": "3"}
     done = subprocess.run(
-        ["make", "--dry-run", "--old-file", "setup", "deploy", "CONTROLLER=c", "RIG=r", "HOST=h", "SHADOW=3"],
+        [
+            "make",
+            "--old-file",
+            "setup",
+            "deploy",
+            f"BIN={tmp_path}",
+            *(f"{name}={text}" for name, text in given.items()),
+        ],
         cwd=ROOT,
         capture_output=True,
         text=True,
+        check=False,
+        timeout=60,
     )
-    assert "CONTROLLER='c' RIG='r' HOST='h' CONFIG='' SHADOW='3' deploy/publish-controller.sh .venv/bin" in done.stdout
+    assert (done.returncode, done.stderr) == (0, "")
+    expected = ["publish", given["CONTROLLER"], "--rig", "r", "--shadow", "3", "--config", given["CONFIG"]]
+    assert done.stdout.splitlines() == expected
