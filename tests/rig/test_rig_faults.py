@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from flora_common.errors import BadInput, FloraError
+from flora_common.messages import Tick
 from flora_twin.faults import MENU
 from flora_twin.rig import faults
-from flora_twin.rig.faults import FaultSchedule, parse_fault
+from flora_twin.rig.faults import FaultSchedule, check_plan, parse_fault
 from flora_twin.rig.integrity import check_run
-from flora_twin.rig.virtual_rig import VirtualRig
+from flora_twin.rig.virtual_rig import Seen, VirtualRig
 
 
 @pytest.fixture(scope="module")
@@ -193,3 +195,34 @@ def test_faults_are_read_as_written() -> None:
     planned = parse_fault("nas_gone@30h:6.5h")
     assert (planned.name, planned.at_h, planned.for_h) == ("nas_gone", 30.0, 6.5)
     assert parse_fault("service_killed@12=flora-led").argument == "flora-led"
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        ["nas_gone@1h:2h", "nas_gone@2h:2h"],
+        ["nas_gone@1h", "nas_gone@2h"],
+        ["nas_read_only@2h:1h", "nas_gone@1h:6h"],
+        ["camera_hangs@1h:3h", "flash_dead@1h:1h", "camera_hangs@2h"],
+        ["clock_jumps@1h:3h=60", "clock_jumps@2h=3600"],
+    ],
+)
+def test_of_two_faults_of_one_thing_at_a_time_one_would_end_the_other(plan: list[str]) -> None:
+    with pytest.raises(BadInput, match=r"would begin before \w+@1h has ended"):
+        check_plan([parse_fault(text) for text in plan])
+
+
+def test_faults_that_follow_each_other_or_are_of_different_things_may_be() -> None:
+    plan = ["nas_gone@1h:2h", "nas_read_only@3h:2h", "flash_dead@1h:9h", "clock_jumps@1h=60", "clock_jumps@2h=3600"]
+    check_plan([parse_fault(text) for text in [*plan, "bus_restarted@4h", "bus_restarted@4h"]])
+
+
+def test_faults_that_follow_each_other_between_two_ticks_do_so_at_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(faults, "begin", lambda rig, name, argument: done.append(f"{name} begins"))
+    monkeypatch.setattr(faults, "end", lambda rig, name: done.append(f"{name} ends"))
+    plan = [parse_fault("nas_gone@1h:0.01h"), parse_fault("nas_read_only@1.02h:0.01h")]
+    schedule = FaultSchedule(cast(VirtualRig, None), plan)
+    for hour in (0.95, 1.05, 1.15):
+        schedule(Seen(tick=Tick(tick=1, time_s=3600.0 * hour)))
+    assert done == ["nas_gone begins", "nas_gone ends", "nas_read_only begins", "nas_read_only ends"]

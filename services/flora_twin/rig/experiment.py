@@ -29,7 +29,7 @@ from flora_common.paper_experiment import REALITY_OBSTACLE, REALITY_TARGET, RUN_
 from flora_common.runs import RunFile
 from flora_common.shapes import Obstacle, Target
 from flora_twin.box import camera_section
-from flora_twin.rig.faults import FaultSchedule, PlannedFault
+from flora_twin.rig.faults import FaultSchedule, PlannedFault, check_plan
 from flora_twin.rig.integrity import check_run
 from flora_twin.rig.layout import Layout, claimed, make_layout, remove_sockets, with_task
 from flora_twin.rig.outcome import Outcome, write_report
@@ -240,6 +240,7 @@ def _check_hours(asked: Experiment) -> None:
             raise BadInput(
                 f"fault {planned.name}@{planned.at_h:g}h would never strike: the run ends at {asked.hours:g} h"
             )
+    check_plan(asked.faults)
 
 
 @contextlib.contextmanager

@@ -20,10 +20,12 @@ from typing import Final
 
 from flora_common.errors import BadInput, FloraError
 from flora_common.suggest import did_you_mean
-from flora_twin.faults import MENU
+from flora_twin.faults import CLOCK_JUMPS, MENU
 from flora_twin.rig.virtual_rig import BUS, SERVICES, Seen, VirtualRig
 
 _FORM: Final = re.compile(r"^(?P<name>\w+)@(?P<at>\d+(\.\d+)?)h?(:(?P<for>\d+(\.\d+)?)h?)?(=(?P<argument>[\w.+-]+))?$")
+_ONCE: Final = ("service_killed", "bus_restarted")
+_OF_THE_NAS: Final = ("nas_gone", "nas_read_only")
 _MOUNT_TRIES: Final = 20
 _MOUNT_AGAIN_S: Final = 0.1
 
@@ -63,6 +65,28 @@ def parse_fault(text: str) -> PlannedFault:
     if name == "clock_jumps" and argument and not _is_number(argument):
         raise BadInput(f"fault `{text}`: name the seconds of the jump, such as clock_jumps@12h=3600")
     return PlannedFault(name, float(match["at"]), float(match["for"]) if match["for"] else None, argument)
+
+
+def check_plan(plan: Sequence[PlannedFault]) -> None:
+    """Whether each fault can begin, and lasts as long as it is to.
+
+    Raises:
+        BadInput: a thing is to break that is broken already: the end of the one fault would be that of the other.
+    """
+    before: dict[str, PlannedFault] = {}
+    for planned in sorted(plan, key=lambda planned: planned.at_h):
+        if planned.name in _ONCE:
+            continue
+        what = "the NAS" if planned.name in _OF_THE_NAS else planned.name
+        first = before.get(what)
+        before[what] = planned
+        if first is None or (what == CLOCK_JUMPS and first.for_h is None and planned.for_h is None):
+            continue  # a clock may be set again
+        if first.for_h is None or planned.at_h < first.at_h + first.for_h:
+            raise BadInput(
+                f"fault {planned.name}@{planned.at_h:g}h would begin before {first.name}@{first.at_h:g}h has ended; "
+                "let one follow the other"
+            )
 
 
 def _is_number(text: str) -> bool:
@@ -126,13 +150,17 @@ class FaultSchedule:
         if seen.tick is None:
             return
         hour = seen.tick.time_s / 3600
+        self._end_until(hour)
+        while self._waiting and hour >= self._waiting[0].at_h:
+            planned = self._waiting.pop(0)
+            self._end_until(planned.at_h)  # one that began just now, too: several may be due at one tick
+            begin(self._rig, planned.name, planned.argument)
+            self._lasting.append(planned)
+
+    def _end_until(self, hour: float) -> None:
         for planned in [p for p in self._lasting if p.for_h is not None and hour >= p.at_h + p.for_h]:
             self._lasting.remove(planned)
             end(self._rig, planned.name)
-        while self._waiting and hour >= self._waiting[0].at_h:
-            planned = self._waiting.pop(0)
-            begin(self._rig, planned.name, planned.argument)
-            self._lasting.append(planned)
 
     def end_all(self) -> None:
         """Let whatever still lasts end, so that the rig's folders are whole again."""
