@@ -9,42 +9,31 @@ from typing import Annotated, Final
 import typer
 
 from flora_common.cli import print_version, run_typer
-from flora_lab.dataset import command as dataset
-from flora_lab.diagnose import command as diagnose
-from flora_lab.evaluate import command as evaluate
-from flora_lab.evolve import command as evolve
-from flora_lab.jobs import command as jobs
-from flora_lab.paper import command as paper
-from flora_lab.publish import command as publish
-from flora_lab.publish import signing_command as signing
-from flora_lab.report import command as report
-from flora_lab.rhythm import command as rhythm
-from flora_lab.rollout import command as rollout
-from flora_lab.serve import command as serve
-from flora_lab.track import command as track
-from flora_lab.train import command as train
+from flora_lab.late import modules_of
 
 PROGRAM: Final = "flora-lab"
 SUBCOMMANDS: Final = (
-    track,
-    report,
-    dataset,
-    rollout,
-    train,
-    evolve,
-    evaluate,
-    diagnose,
-    rhythm,
-    paper,
-    signing,
-    publish,
-    serve,
-    jobs,
+    "track.command",
+    "report.command",
+    "dataset.command",
+    "rollout.command",
+    "train.command",
+    "evolve.command",
+    "evaluate.command",
+    "diagnose.command",
+    "rhythm.command",
+    "paper.command",
+    "publish.signing_command",
+    "publish.command",
+    "serve.command",
+    "jobs.command",
 )
+
+_module = modules_of("flora_lab")
 
 
 def build_app() -> typer.Typer:
-    """The command line with all subcommands."""
+    """The command line with all subcommands; they are imported here, where Ctrl-C is told as in all work."""
     app = typer.Typer(help="flora-lab: from photographs to controllers.", add_completion=False)
 
     @app.callback()
@@ -58,8 +47,8 @@ def build_app() -> typer.Typer:
     ) -> None:
         """Options before the subcommand; ``version`` has done its work when this is reached."""
 
-    for module in SUBCOMMANDS:
-        module.register(app)
+    for name in SUBCOMMANDS:
+        _module(name).register(app)
     return app
 
 
