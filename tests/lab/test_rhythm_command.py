@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from rhythm_tracks import forgetting, swing, write_table
 from flora_common.runs import TRACK_HEADER, track_text
 from flora_common.shapes import STEM_POINTS
 from flora_lab.main import main
+from flora_lab.rhythm.judgement import cannot_tell, judge, said
 from flora_lab.rhythm.tip_track import MOST_SAMPLES, read_tip
 from real_photographs import STALK
 
@@ -42,6 +44,18 @@ def test_frames_and_px_become_hours_and_cm_when_told(tmp_path: Path, capsys: pyt
     assert told["period"] == pytest.approx(bare["period"] / 20, rel=1e-3)
     assert told["amplitude"] == pytest.approx(bare["amplitude"] / 5, rel=1e-3)
     assert not any(line.startswith("hours:") for line in told["cannot_be_told"])
+
+
+def test_what_is_said_of_times_like_hours_and_of_a_swing_that_grows_slowly(tmp_path: Path) -> None:
+    rhythm = judge(read_tip(table(tmp_path / "tip.csv", "time_s,x_cm,y_cm", per_row=120.0)))
+    hours = "whether its times are seconds: they are 0.0333 s apart, as hours that nobody converted"
+    for step_s, told in ((120.0 / 3600.0, True), (1.0, False), (120.0, False)):
+        again = replace(rhythm, track=replace(rhythm.track, step=step_s / 3600.0))
+        assert (hours in cannot_tell(again)) == told
+        assert any(line.startswith("whether its times") for line in cannot_tell(again)) == told
+    for factor, line in ((1.004, "it grows: 1.004 times"), (0.997, "it dies away: 0.997 times"), (1.25, "grows: 1.2 ")):
+        cycles = replace(rhythm.cycles, growth_per_cycle=factor, growth_interval=(factor, factor))
+        assert line in "\n".join(said(replace(rhythm, cycles=cycles)))
 
 
 def test_the_folder_is_written_and_the_same_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,8 @@ LAMPS_SWING: Final = 0.35
 """Share of the lamps' own alternation in the band of the swing, as an amplitude of at most 1, that is told."""
 SHORT_SAMPLES: Final = 40.0
 """Of a cycle: the shoulder of a track that was smoothed over some steps looks like swings as short as that."""
+SHORTEST_STEP_S: Final = 1.0
+"""Between photographs of a growing plant; what is shorter is told."""
 _AGREES: Final = 0.1
 _EDGE: Final = 1.1
 _FEW_CYCLES: Final = 6.0
@@ -126,12 +128,17 @@ def said(rhythm: Rhythm) -> list[str]:
         scatter = f"; scatter {band.scatter * track.step:.2g}" if len(clear) > 1 else ""
         lines.append(f"clear cycles, {unit}: {listed}{scatter}")
     if band.growth_interval[0] > 1.0:
-        lines.append(f"it grows: {band.growth_per_cycle:.2g} times as far from one cycle to the next")
+        lines.append(f"it grows: {_factor(band.growth_per_cycle)} times as far from one cycle to the next")
     elif band.growth_interval[1] < 1.0:
-        lines.append(f"it dies away: {band.growth_per_cycle:.2g} times as far from one cycle to the next")
+        lines.append(f"it dies away: {_factor(band.growth_per_cycle)} times as far from one cycle to the next")
     if rhythm.other_period is not None:
         lines.append(_beside(rhythm, rhythm.other_period))
     return lines
+
+
+def _factor(value: float) -> str:
+    """With as many digits as tell it from 1: over a hundred short cycles a little more each time is much."""
+    return next((text for digits in range(2, 7) if (text := f"{value:.{digits}g}") != "1"), "1.00000")
 
 
 def _beside(rhythm: Rhythm, period: float) -> str:
@@ -154,6 +161,9 @@ def cannot_tell(rhythm: Rhythm) -> list[str]:
         lines.append("whether lamps, air or warmth make it swing: nothing is known of them")
     lines.append("a swing of the camera or the pot from one of the plant: nothing that stands still is in the track")
     lines.append("growth, stiffening, and answers to light or weight: they need the whole stem and the light")
+    step_s = round(track.step * 3600.0, 6) if track.time_unit == "h" else SHORTEST_STEP_S
+    if step_s < SHORTEST_STEP_S:
+        lines.append(f"whether its times are seconds: they are {step_s:.3g} s apart, as hours that nobody converted")
     if track.time_unit == "frames":
         lines.append("hours: the time between two frames is not known; give it with --step-s")
     if track.unit == "px":
