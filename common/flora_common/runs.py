@@ -149,7 +149,8 @@ class RunFolder:
         """
         try:
             if not self.path.is_dir():
-                raise BadRunFolder(f"{self.path}: no such run folder")
+                what = "a file, not a run folder" if self.path.is_file() else "no such run folder"
+                raise BadRunFolder(f"{self.path}: {what}")
             if not self.run_toml.is_file():
                 raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
         except PermissionError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -129,6 +130,13 @@ def test_keys_that_nobody_here_knows_are_told_and_not_looked_at_where_others_mad
 def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(BadRunFolder, match="no such run folder"):
         RunFolder(tmp_path / "none").read_run_file()
+
+
+def test_a_file_in_place_of_a_run_folder_is_not_said_to_be_missing(tmp_path: Path) -> None:
+    track = tmp_path / "track.csv"
+    track.write_text("time_s,light\n")
+    with pytest.raises(BadRunFolder, match=re.escape(f"{track}: a file, not a run folder")):
+        RunFolder(track).read_run_file()
 
 
 @pytest.mark.parametrize(
