@@ -52,6 +52,7 @@ def test_the_page_stands_alone(folder: Path) -> None:
         for name in ("src", "href", "srcset", "data", "action"):
             assert (attributes.get(name) or "data:image/").startswith("data:image/"), tag
     assert "http" not in read.text
+    assert "`generation`" not in read.text
     assert "url(" not in text
     assert "@import" not in text
 

@@ -38,7 +38,7 @@ def page(evolution: Evolution, pictures: Pictures) -> str:
         *_over_generations(evolution, pictures),
         html_page.section("Runs"),
         html_page.paragraph(
-            f"The champion of each run, the best run first{_chosen_by(evolution)}; `generation` is where it came up."
+            f"The champion of each run, the best run first{_chosen_by(evolution)}; “generation” is where it came up."
         ),
         tables.runs(evolution),
         html_page.section("What was asked"),
