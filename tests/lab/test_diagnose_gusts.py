@@ -47,17 +47,17 @@ def typical_in_wind(drive_per_cm_h: float) -> Found:
     return Found(Hypothesis((cause,)), coordinates, TYPICAL[None], np.zeros((1, 2)))
 
 
-def course(rng: np.random.Generator, rows: int) -> Array:
+def course(rng: np.random.Generator, rows: int, shares: tuple[float, ...] = GUSTS.shares) -> Array:
     """How much harder than its mean a wind blows, shape (rows,)."""
-    each = zip(GUSTS.shares, gusts.MEMORIES_H, strict=True)
+    each = zip(shares, gusts.MEMORIES_H, strict=True)
     return np.asarray(np.sum([share * red_noise(rng, rows, memory_h) for share, memory_h in each], axis=0))
 
 
-def gusty(seed: int, drive_per_cm_h: float = DRIVE_PER_CM_H) -> MeasuredRun:
+def gusty(seed: int, drive_per_cm_h: float = DRIVE_PER_CM_H, shares: tuple[float, ...] = GUSTS.shares) -> MeasuredRun:
     """A run in a wind that comes and goes."""
     run = run_of(seed, hours=72.0, change=blown(drive_per_cm_h))
     aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(drive_per_cm_h).terms[WIND]), SOFTNESS_CM)
-    harder = course(np.random.default_rng([seed, 3]), len(run.points_cm))
+    harder = course(np.random.default_rng([seed, 3]), len(run.points_cm), shares)
     harder[0] = 0.0  # a run begins from the stem that is measured
     return replace(run, points_cm=run.points_cm + harder[:, None, None] * aside_cm)
 
@@ -152,6 +152,16 @@ def test_one_run_of_several_that_sways_by_itself_is_in_no_wind() -> None:
     first, second = (run_of(seed, hours=72.0) for seed in (82, 84))
     assert weighed([wavering(first, 82), second]).gusts.evidence == 0.0
     assert weighed([first, second]).gusts.evidence == 0.0
+
+
+def test_what_lasts_for_hours_alone_tells_of_no_wind() -> None:
+    quick, slow = (
+        weighed([gusty(seed, shares=shares) for seed in (82, 84)]).gusts
+        for shares in ((0.1, 0.1, 0.0), (0.0, 0.0, 0.1))
+    )
+    assert quick.evidence > 0.0
+    assert slow.shares[-1] > 0.0  # it is taken for what it may be
+    assert slow.evidence == 0.0
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,8 @@ _MORE: Final = (0.0, 1.0, 3.0, 9.0)
 _BY_THEMSELVES: Final = 10.0
 """Nats that plants may show which sway by themselves; healthy ones have had 8 (docs/results/discovery.md)."""
 _TRIED: Final = tuple(itertools.product(SHARES, repeat=len(MEMORIES_H)))
+_SLOW: Final = [number for number, shares in enumerate(_TRIED) if not any(shares[:-1])]
+"""No gusts, or such as last for hours alone."""
 LOOKED: Final = math.log(len(_TRIED))
 """The price of having looked at so many, in nats."""
 
@@ -59,7 +61,8 @@ def best_gusts(joint: Joint, scenes: Sequence[Scene], answers: Sequence[Answers]
     """The gusts that make some runs most probable; :data:`CALM` where none do, or no wind blows.
 
     A wind that blows on all runs comes and goes in all: what one shows more than any other is taken for no more than
-    what that one shows, for any plant may waver by itself.
+    what that one shows, for any plant may waver by itself. Nor does a wind show by what lasts for hours alone: a law
+    that is a little wrong leaves as much, so the quicker gusts must be worth the look by themselves.
 
     Args:
         joint: the runs, whitened for what happens by chance without gusts.
@@ -71,7 +74,8 @@ def best_gusts(joint: Joint, scenes: Sequence[Scene], answers: Sequence[Answers]
     borne_out = np.array([_borne_out(each) for each in np.transpose(by_run)])
     best = int(np.argmax(borne_out))
     evidence = float(borne_out[best]) - LOOKED - _BY_THEMSELVES
-    return Gusts(_TRIED[best], max(evidence, 0.0))
+    is_told = borne_out[best] - borne_out[_SLOW].max() > LOOKED
+    return Gusts(_TRIED[best], max(evidence, 0.0) if is_told else 0.0)
 
 
 def _borne_out(each: Array) -> float:

@@ -18,7 +18,7 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
 from flora_lab.effects.effect import Change
-from flora_lab.effects.law_forms import OF_LIGHT, OF_TISSUE
+from flora_lab.effects.law_forms import OF_GROWTH, OF_LIGHT, OF_TISSUE
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 
@@ -26,7 +26,9 @@ _STEPS: Final = 8
 _PARTS: Final = 6
 _RATHER: Final = 3.0
 """Nats by which another law must be better."""
-LAW_ROUNDS: Final = learn.ROUNDS * (1 + len(OF_LIGHT) + len(OF_TISSUE))
+_CHOICES: Final = (OF_GROWTH, OF_LIGHT, OF_TISSUE, OF_GROWTH)
+"""In this order: when stems grow shows under most laws of bending, and once more where another one was found."""
+LAW_ROUNDS: Final = learn.ROUNDS * (1 + sum(len(choices) for choices in _CHOICES))
 """How often :func:`law_of` tells that it has come farther."""
 
 
@@ -96,10 +98,17 @@ def law_of(
     """
     law: tuple[Extension, ...] = ()
     best = learn.learned(scenes, on_round)
-    for choices in (OF_LIGHT, OF_TISSUE):
+    tried: set[frozenset[str]] = set()
+    for choices in _CHOICES:
         so_far = law
         for forms in choices:
             other = (*so_far, *(Extension(form.name, {"amount": 1.0}) for form in forms))
+            names = frozenset(one.effect for one in other)
+            if names in tried:
+                for _ in range(learn.ROUNDS):
+                    on_round()
+                continue
+            tried.add(names)
             rival = learn.learned_from(under(other, scenes), best, on_round)
             if rival.evidence > best.evidence + _RATHER:
                 law, best = other, rival

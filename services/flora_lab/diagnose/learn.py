@@ -22,6 +22,8 @@ _ITERATIONS: Final = 5
 _TURNS: Final = 2
 _HOPELESS: Final = 100.0
 """Nats: of laws that were right in the end, the last was 31 behind after the first round."""
+_CATCHES_UP: Final = 0.2
+"""Share of what a law is behind that its second round must make up for, for a third one to be worth its time."""
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
 _FIRST_SD: Final = np.array([0.08, 0.06])
@@ -68,14 +70,18 @@ def learned_from(scenes: Sequence[Scene], other: Learned, on_round: Callable[[],
     """The same from what was learned of the same runs under another law.
 
     Where a law is not the plants' own, fits jump from round to round: the round after which runs are most probable
-    counts. A law that is far behind the other one after the first round is given up.
+    counts. A law that is far behind the other one after the first round is given up, and so is one that is behind and
+    does not catch up.
     """
     best = so_far = _carried_on(scenes, other, _FIRST_ITERATIONS)
     on_round()
+    is_hopeful = best.evidence > other.evidence - _HOPELESS
     for _ in range(ROUNDS - 1):
-        if so_far.evidence > other.evidence - _HOPELESS:
-            so_far = _carried_on(scenes, so_far, _ITERATIONS)
+        if is_hopeful:
+            before, so_far = so_far, _carried_on(scenes, so_far, _ITERATIONS)
             best = max(best, so_far, key=lambda one: one.evidence)
+            behind = other.evidence - best.evidence
+            is_hopeful = behind < 0.0 or so_far.evidence - before.evidence > _CATCHES_UP * behind
         on_round()
     return best
 

@@ -3,7 +3,7 @@
 How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
 in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
 what else would look like an effect. Small differences are taken for errors of the law (:data:`FORMS`); which of two
-laws it is where they differ much (:data:`OF_LIGHT`, :data:`OF_TISSUE`) is chosen as a whole.
+laws it is where they differ much (:data:`OF_GROWTH`, :data:`OF_LIGHT`, :data:`OF_TISSUE`) is chosen as a whole.
 """
 
 from __future__ import annotations
@@ -58,9 +58,18 @@ BY_AGE: Final = _form(
     1.0,
     "0: zones of a length that stays; 1: zones that a faster stem draws out (Silk and Erickson 1979)",
 )
+SPURT: Final = _form(
+    "spurt",
+    "Stems grow twice as fast half way as a straight line between their early and their late rate",
+    terms.SPURT_MORE,
+    1.0,
+    "0: ever faster, then evenly; 1: an S-shaped course, as of organs whose growth ends (Richards 1959)",
+)
+OF_GROWTH: Final = ((SPURT,),)
 OF_LIGHT: Final = ((SIDE_ALONE,), (EVEN_LIGHT,), (APICAL,), (SIDE_ALONE, EVEN_LIGHT))
 OF_TISSUE: Final = ((BY_AGE,),)
-"""In what a law may be another than it is written, simpler ones first: how light is sensed, and how tissue matures."""
+"""In what a law may be another than it is written, simpler ones first: when stems grow, how light is sensed, and how
+tissue matures."""
 FORMS: Final = (
     _form(
         "brightness_more",
@@ -93,4 +102,6 @@ FORMS: Final = (
     NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""
-BY_NAME: Final[Mapping[str, Effect]] = {form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT, APICAL, BY_AGE)}
+BY_NAME: Final[Mapping[str, Effect]] = {
+    form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT, APICAL, BY_AGE, SPURT)
+}
