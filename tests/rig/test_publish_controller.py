@@ -329,6 +329,7 @@ def test_make_hands_its_variables_to_the_script_as_they_are(tmp_path: Path) -> N
     done = subprocess.run(
         [
             "make",
+            "--no-print-directory",  # which a make that runs these tests asks for
             "--old-file",
             "setup",
             "deploy",

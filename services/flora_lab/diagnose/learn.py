@@ -20,7 +20,7 @@ ROUNDS: Final = 3
 _FIRST_ITERATIONS: Final = 12
 _ITERATIONS: Final = 5
 _TURNS: Final = 2
-_HOPELESS: Final = 100.0
+_HOPELESS: Final = 50.0
 """Nats: of laws that were right in the end, the last was 31 behind after the first round."""
 _CATCHES_UP: Final = 0.2
 """Share of what a law is behind that its second round must make up for, for a third one to be worth its time."""
