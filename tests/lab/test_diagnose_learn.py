@@ -130,7 +130,7 @@ def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int]) -> N
     change = Change()
     for term in forms.values():
         change.terms[term] = 1.0
-    how = {"hours": 54.0} if "spurt" in forms else {}  # stems that do not come half way tell nothing of it
+    how = {"hours": 48.0} if "spurt" in forms else {}  # stems that do not come half way tell nothing of it
     with one_blas_thread():
         told: list[None] = []
         law, best = law_of([scene_of(seed, change=change, **how) for seed in REFERENCE[:4]], lambda: told.append(None))
