@@ -94,7 +94,7 @@ def law_of(
     """The forms of the law that plants are under, and what is learned under it.
 
     Laws are compared where each has come to rest: after one round plants are still on their way from the constants that
-    another law gave them, and the right law may be thirty nats behind. Both forms together may be what neither is alone.
+    another law gave them, and the right law may be thirty nats behind. Two forms together may be what neither alone is.
     """
     law: tuple[Extension, ...] = ()
     best = learn.learned(scenes, on_round)
