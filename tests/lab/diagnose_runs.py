@@ -20,6 +20,7 @@ from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.scene import Lanes, Scene
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
+from flora_lab.effects.law_forms import AS_WRITTEN
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
@@ -194,7 +195,7 @@ REFERENCE: Final = tuple(range(9))
 def known() -> Knowledge:
     """What nine healthy runs of a day tell; learned once for all tests."""
     with one_blas_thread():
-        return learn_from(scenes_of(REFERENCE))
+        return learn_from(scenes_of(REFERENCE), laws=AS_WRITTEN)
 
 
 def base() -> Base:

@@ -13,6 +13,7 @@ from flora_lab.diagnose.cross_fit import FOLDS, LEAST_RUNS, ROUNDS, learn_from
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import FIRST
 from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.effects.law_forms import AS_WRITTEN
 from flora_lab.threads import one_blas_thread
 
 
@@ -21,7 +22,7 @@ def not_alike() -> Knowledge:
     """The camera was rolled to one side in a third of the reference, and to the other in a third."""
     rolled = [change_of({"camera_roll": {"angle_deg": 7.0 * side}}) for side in (-1.0, 0.0, 1.0)]
     with one_blas_thread():
-        return learn_from([scene_of(seed, change=rolled[seed % FOLDS]) for seed in REFERENCE])
+        return learn_from([scene_of(seed, change=rolled[seed % FOLDS]) for seed in REFERENCE], laws=AS_WRITTEN)
 
 
 def claim(one: Knowledge, runs: int = 3) -> float:

@@ -26,7 +26,7 @@ from flora_lab.diagnose.usual_errors import (
 )
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, Effect
-from flora_lab.effects.law_forms import FORMS
+from flora_lab.effects.law_forms import AS_WRITTEN, FORMS
 from flora_lab.simulator.terms import BRIGHTNESS_MORE
 from flora_lab.threads import one_blas_thread
 
@@ -39,7 +39,9 @@ def draughty() -> Knowledge:
     """Every reference run is pushed to a side a little, each to its own."""
     changes = [change_of({"draught": {"drive_per_cm_h": float(push)}}) for push in DRAUGHTS]
     with one_blas_thread():
-        return learn_from([scene_of(seed, change=change) for seed, change in zip(REFERENCE, changes, strict=True)])
+        return learn_from(
+            [scene_of(seed, change=change) for seed, change in zip(REFERENCE, changes, strict=True)], laws=AS_WRITTEN
+        )
 
 
 def at(name: str) -> int:
@@ -140,7 +142,7 @@ def test_what_all_healthy_runs_show_is_no_news() -> None:
     """Every one of them is pushed to the same side."""
     push = {"draught": {"drive_per_cm_h": 0.04}}
     with one_blas_thread():
-        usual = learn_from([scene_of(seed, change=change_of(push)) for seed in REFERENCE])
+        usual = learn_from([scene_of(seed, change=change_of(push)) for seed in REFERENCE], laws=AS_WRITTEN)
     assert evidence_for("draught", (30, 31, 32), usual, push["draught"]) < 3.0
     assert evidence_for("draught", (30, 31, 32), usual, {"drive_per_cm_h": -0.12}) > 6.0
 
@@ -150,7 +152,7 @@ def test_the_form_of_the_law_is_learned_from_healthy_runs() -> None:
     steeper = Change()
     steeper.terms[BRIGHTNESS_MORE] = 0.4
     with one_blas_thread():
-        usual = learn_from([scene_of(seed, change=steeper) for seed in REFERENCE])
+        usual = learn_from([scene_of(seed, change=steeper) for seed in REFERENCE], laws=AS_WRITTEN)
     form = sum(columns()[: at("brightness_more")])
     assert abs(known().errors.mean[form]) < 0.12
     assert 0.2 < usual.errors.mean[form] < 0.6

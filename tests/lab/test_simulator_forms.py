@@ -24,7 +24,7 @@ from flora_lab.simulator.tropism import (
 from flora_lab.simulator.tropism_traits import prior_mean
 
 STEP_H = 1.0 / 12.0
-DARK, RIGHT = (0.0, 0.0), (0.0, 1.0)
+DARK, LEFT, RIGHT = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
 LAW = ExtendedLaw(LampsSection())
 EVEN = prior_mean()
 """A plant whose tissue all bends alike, up to where it is mature."""
@@ -142,6 +142,29 @@ def test_stems_of_middle_length_grow_faster(length_cm: float, factor: float) -> 
     assert faster / plain == pytest.approx(factor, rel=0.005)
 
 
+def growth_cm(length_cm: float, hours: float, **form: float) -> float:
+    return float(grown(stem(length_cm), DARK, hours, **form)[0][-1, 1]) - length_cm
+
+
+@pytest.mark.parametrize("spurt_more", [0.0, 1.0])
+@pytest.mark.parametrize("hours", [36.0, 72.0])
+def test_growth_that_follows_the_hours_is_the_same_for_short_and_long_stems(hours: float, spurt_more: float) -> None:
+    """The integral of the course from its early to its late rate, by hand."""
+    early, late = np.exp(EVEN[[GROWTH_EARLY, GROWTH_LATE]]) / 24.0
+    share = (np.arange(hours * 20.0) + 0.5) / (72.0 * 20.0)
+    course = (early + (late - early) * share) * (1.0 + 4.0 * spurt_more * share * (1.0 - share))
+    told = [growth_cm(length, hours, by_hours=1.0, spurt_more=spurt_more) for length in (EARLY_CM, LATE_CM)]
+    assert told == pytest.approx([course.mean() * hours] * 2, rel=0.005)
+    by_length = [growth_cm(length, hours, spurt_more=spurt_more) for length in (EARLY_CM, LATE_CM)]
+    assert by_length[0] != pytest.approx(by_length[1], rel=0.02)
+
+
+def test_growth_that_follows_the_hours_ends_its_course_at_its_late_rate() -> None:
+    late = np.exp(EVEN[GROWTH_LATE])
+    in_a_day = growth_cm(EARLY_CM, 96.0, by_hours=1.0) - growth_cm(EARLY_CM, 72.0, by_hours=1.0)
+    assert in_a_day == pytest.approx(late, rel=0.005)
+
+
 def test_a_stem_that_leans_to_the_camera_looks_longer() -> None:
     short, long = (grown(stem(length), DARK, STEP_H, nearer=0.1)[0][-1, 1] for length in (EARLY_CM - 0.5, LATE_CM))
     plain = grown(stem(LATE_CM), DARK, STEP_H)[0][-1, 1]
@@ -157,6 +180,34 @@ def test_where_the_apex_alone_senses_light_all_tissue_turns_as_the_apex_does() -
     assert each.max() > 1.2 * each.min()
     assert apical == pytest.approx(np.full(len(apical), each[-1]), rel=1e-2)
     assert half == pytest.approx((each + apical) / 2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("h_per_cm", [0.2, 0.4])
+def test_the_apex_is_answered_the_later_the_farther_below_it(h_per_cm: float) -> None:
+    """Of two stems in the light from the left one is lit from the right at last."""
+    first, hours, changed_h = stem(12.0), 3.0, 1.0
+    own = NEUTRAL.copy()
+    own[[terms.APICAL, terms.SIGNAL_H_PER_CM]] = 1.0, h_per_cm
+    stems, steps = standing(LAW, np.stack([first, first])), round(hours / STEP_H)
+    light = np.tile(LEFT, (steps, 2, 1))
+    light[steps - round(changed_h / STEP_H) :, 1] = RIGHT
+    still = np.zeros((steps, 2))
+    driven = Driven(light, still, still, still + 1.0, still + 1.0, still)
+    seen = Seen(still, np.ones(2))
+    LAW.advance_with(
+        stems, np.tile(EVEN, (2, 1)), np.tile(own, (2, 1)), driven, seen, STEP_H, 1, np.empty((steps, 2, 10, 2))
+    )
+    joints = np.diff(stems.angle[:, : stems.count[0]], axis=1)
+    from_tip_cm = stems.length[0, : stems.count[0]].sum() - np.cumsum(stems.length[0, : stems.count[0]])[:-1]
+    turned = np.abs(joints[1] - joints[0])
+    reached = from_tip_cm[turned > 1e-3 * turned.max()].max()
+    assert reached == pytest.approx(changed_h / h_per_cm, abs=0.6)
+    assert (turned[from_tip_cm > reached] == 0.0).any()
+
+
+def test_a_signal_that_takes_no_time_is_the_apex_itself() -> None:
+    at_once, soon = (bent(stem(12.0), RIGHT, 2.0, apical=1.0, signal_h_per_cm=value) for value in (0.0, 1e-9))
+    assert soon == pytest.approx(at_once, rel=1e-6)
 
 
 def test_of_tissue_that_matures_by_age_a_fast_stem_keeps_a_longer_zone() -> None:

@@ -20,6 +20,7 @@ from flora_lab.diagnose import learn
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.knowledge import LAW_ROUNDS, Knowledge, known_of, law_of, under
 from flora_lab.diagnose.scene import Scene
+from flora_lab.effects.law_forms import LAWS, Law
 
 FOLDS: Final = 3
 LEAST_RUNS: Final = 6
@@ -28,14 +29,16 @@ ROUNDS: Final = LAW_ROUNDS + 1 + FOLDS
 """How often :func:`learn_from` tells that it has come farther."""
 
 
-def learn_from(scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None) -> Knowledge:
-    """Learn from runs in which nothing is taken to be wrong, under the law that suits them best."""
+def learn_from(
+    scenes: Sequence[Scene], on_round: Callable[[int], None] = lambda _: None, laws: Sequence[Law] = LAWS
+) -> Knowledge:
+    """Learn from runs in which nothing is taken to be wrong, under the one of the laws that suits them best."""
     rounds = itertools.count(1)
 
     def told() -> None:
         on_round(next(rounds))
 
-    law, best = law_of(scenes, told)
+    law, best = law_of(scenes, told, laws)
     scenes = under(law, scenes)
     known = known_of(scenes, best, law)
     told()

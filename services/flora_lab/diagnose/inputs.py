@@ -44,7 +44,7 @@ class Runs:
     knocks: tuple[tuple[Knock, ...], ...]
 
     def scenes(self, usual_c: float | None, terms: Array = NEUTRAL) -> list[Scene]:
-        """Ready to be compared with plants that are used to this temperature, and have these terms, shape (24,)."""
+        """Ready to be compared with plants that are used to this temperature, and have these terms, shape (26,)."""
         return [Scene(run, ExtendedLaw(run.lamps or LampsSection(), terms), usual_c) for run in self.measured]
 
     @property

@@ -274,7 +274,7 @@ class Scene:
         return np.asarray(means.transpose(1, 0, 2).reshape(points.shape[1], -1)[:, self.is_told])
 
     def terms_with(self, change: Change) -> Array:
-        """The simulator's own terms with what is changed besides, shape (24,)."""
+        """The simulator's own terms with what is changed besides, shape (26,)."""
         own, more = self.law.terms, change.terms
         both = own + (more - NEUTRAL)
         both[RIGHT_TO_LEFT] = own[RIGHT_TO_LEFT] * more[RIGHT_TO_LEFT]
@@ -355,7 +355,7 @@ class Scene:
     def _changed(
         self, changes: Sequence[Change], every: int, shone: Sequence[Array] | None
     ) -> tuple[Array, Array, Array, Array]:
-        """Turn (steps, lanes), scale (lanes,), terms (lanes, 24) and light (steps, lanes, 2) of changes."""
+        """Turn (steps, lanes), scale (lanes,), terms (lanes, 26) and light (steps, lanes, 2) of changes."""
         time_h = (np.arange(self.steps // every) + 1) * every * self.step_h
         turn = np.stack([c.turned_rad(time_h) for c in changes], axis=1)
         scale = np.array([c.scale for c in changes])

@@ -141,7 +141,7 @@ class Change:
 
     Attributes:
         traits: added to the logarithms of the plant's constants, shape (9,).
-        terms: see :mod:`flora_lab.simulator.terms`, shape (24,).
+        terms: see :mod:`flora_lab.simulator.terms`, shape (26,).
         turn_deg: of the camera, positive when stems look as if they leant more to the right.
         drift_deg: the same, growing from 0 to this over 72 h.
         scale: centimetres that the camera takes one for.

@@ -3,26 +3,26 @@
 How steeply the pull of light rises with brightness, or that of gravity with the lean, is the same in healthy plants and
 in those that something is wrong with. Reference runs tell it, once for all plants; in another light it then foretells
 what else would look like an effect. Small differences are taken for errors of the law (:data:`FORMS`); which of two
-laws it is where they differ much (:data:`OF_GROWTH`, :data:`OF_LIGHT`, :data:`OF_TISSUE`) is chosen as a whole.
+laws it is where they differ much (:data:`LAWS`) is chosen as a whole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, TypeAlias
 
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
 from flora_lab.simulator import terms
 
 
-def _form(name: str, title: str, term: int, most: float, source: str) -> Effect:
+def _form(name: str, title: str, term: int, most: float, source: str, unit: float = 1.0) -> Effect:
     amount = Parameter("amount", 0.0, -most, most, "linear", f"see {name.upper()} of flora_lab.simulator.terms", source)
-    return Effect(name, title, "simulator", (amount,), (_adding(term),), lambda _: title)
+    return Effect(name, title, "simulator", (amount,), (_adding(term, unit),), lambda _: title)
 
 
-def _adding(term: int) -> Callable[[Change, Values], None]:
+def _adding(term: int, unit: float) -> Callable[[Change, Values], None]:
     def add(change: Change, values: Values) -> None:
-        change.terms[term] += values["amount"]
+        change.terms[term] += unit * values["amount"]
 
     return add
 
@@ -51,6 +51,14 @@ APICAL: Final = _form(
     1.0,
     "0: each place for itself (Bastien et al. 2015); 1: the apex for all below it, as of coleoptiles (Darwin 1880)",
 )
+SIGNAL: Final = _form(
+    "signal",
+    "What the apex senses reaches the tissue below it at 2.5 cm/h",
+    terms.SIGNAL_H_PER_CM,
+    2.0,
+    "0: at once; 1: 2.5 cm/h, as auxin is transported (1 to 2 cm/h, Went and Thimann 1937; faster fronts since)",
+    unit=0.4,
+)
 BY_AGE: Final = _form(
     "by_age",
     "Tissue grows, stiffens and matures by its age, not by its distance from the tip",
@@ -65,11 +73,24 @@ SPURT: Final = _form(
     1.0,
     "0: ever faster, then evenly; 1: an S-shaped course, as of organs whose growth ends (Richards 1959)",
 )
-OF_GROWTH: Final = ((SPURT,),)
-OF_LIGHT: Final = ((SIDE_ALONE,), (EVEN_LIGHT,), (APICAL,), (SIDE_ALONE, EVEN_LIGHT))
-OF_TISSUE: Final = ((BY_AGE,),)
-"""In what a law may be another than it is written, simpler ones first: when stems grow, how light is sensed, and how
+BY_HOURS: Final = _form(
+    "by_hours",
+    "Growth follows the hours since the start, not the length of the stem",
+    terms.BY_HOURS,
+    1.0,
+    "0: a stem's length tells how fast it grows; 1: its age does (growth curves over time, Richards 1959)",
+)
+Law: TypeAlias = tuple[tuple[Effect, ...], ...]
+"""Forms in each of the three aspects of :data:`LAWS`."""
+LAWS: Final[tuple[Law, ...]] = (
+    ((), (SPURT,), (BY_HOURS,), (BY_HOURS, SPURT)),
+    ((), (SIDE_ALONE,), (EVEN_LIGHT,), (APICAL,), (APICAL, SIGNAL), (SIDE_ALONE, EVEN_LIGHT)),
+    ((), (BY_AGE,)),
+)
+"""What a law may be, simpler ones first and as it is written before all: when stems grow, how light is sensed, and how
 tissue matures."""
+AS_WRITTEN: Final[tuple[Law, ...]] = (((),),) * len(LAWS)
+"""For who need not choose."""
 FORMS: Final = (
     _form(
         "brightness_more",
@@ -99,9 +120,16 @@ FORMS: Final = (
         0.3,
         "0: straight between the early and the late rate",
     ),
+    _form(
+        "signal_more",
+        "The signal of the apex is slower",
+        terms.SIGNAL_H_PER_CM,
+        0.3,
+        "0: as the law says; stems in which each place senses light for itself send none",
+    ),
     NEARER,
 )
 """Each with one parameter, whose plausible range says how wide it is looked for."""
 BY_NAME: Final[Mapping[str, Effect]] = {
-    form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT, APICAL, BY_AGE, SPURT)
+    form.name: form for form in (*FORMS, SIDE_ALONE, EVEN_LIGHT, APICAL, SIGNAL, BY_AGE, SPURT, BY_HOURS)
 }

@@ -17,7 +17,8 @@ step:
   ``SOFTNESS_CM``, bends it elastically, with ``SETTLING_H`` as time constant, and the stem feels that bend as any
   other; a ``WIND`` to the right, in the same unit, does the same, pushing as hard on each cm as weight pulls;
 - the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
-  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``, ``APICAL``, ``BY_AGE``;
+  ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``, ``APICAL``, ``BY_AGE``,
+  ``BY_HOURS``, ``SIGNAL_H_PER_CM``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
   not at all up to that of 6.5 cm.
 """
@@ -36,25 +37,27 @@ from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane, split
-from flora_lab.simulator.tropism import LIGHT_HALF, Form, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism import LIGHT_HALF, SENT, Form, TropismLaw, driven_step_lane
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)
 BRIGHTNESS_MORE, LEAN_MORE, EDGE_MORE, SPURT_MORE, NEARER, SIDEWAYS, SIDE_ALONE, EVEN_LIGHT = range(11, 19)
-SOFTNESS_CM, SETTLING_H, WIND, APICAL, BY_AGE = range(19, 24)
+SOFTNESS_CM, SETTLING_H, WIND, APICAL, BY_AGE, BY_HOURS, SIGNAL_H_PER_CM = range(19, 26)
 """Columns of the terms."""
-TERMS: Final = 24
-NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(14), sag.SOFTNESS_CM, sag.SETTLING_H, *np.zeros(3)])
-"""Values at which nothing is changed, shape (24,)."""
+TERMS: Final = 26
+NEUTRAL: Final = np.array([0.0, 1.0, 0.0, 0.0, 2.0, *np.zeros(14), sag.SOFTNESS_CM, sag.SETTLING_H, *np.zeros(5)])
+"""Values at which nothing is changed, shape (26,)."""
 NEUTRAL.flags.writeable = False
 
 LONGEST_DELAY_H: Final = 2.0
 _SLOTS: Final = 25
 """Five minutes each in the longest delay, and one that is being written."""
 _ADAPTED, _CLOCK, _LINE, _BENT = 2, 3, 4, 4 + _SLOTS
+_SENT: Final = _BENT + sag.BENT[0]
 """Rows of the memory, after what is seen of the lamps: how far each lamp is adapted to; hours since the start, and
-hours of which the delay line was told; the delay line, one row of lamp levels per five minutes; bends under weight."""
-MEMORY: Final = (_BENT + sag.BENT[0], 2)
+hours of which the delay line was told; the delay line, one row of lamp levels per five minutes; bends under weight;
+signals of the apex."""
+MEMORY: Final = (_SENT + SENT[0], 2)
 
 _DAY_H: Final = 24.0
 _LIT: Final = 1e-6
@@ -141,12 +144,12 @@ def extended_step_lane(
         length, angle, n, p, lamps_cm, left, right, bias, growth, dt_h: see
             :func:`flora_lab.simulator.tropism.step_lane`.
         memory: shape :data:`MEMORY`.
-        t: the terms, shape (24,).
+        t: the terms, shape (26,).
         gradient: see :mod:`flora_lab.simulator.tropism`, 1/(cm h).
         gain: factor on the pull of both lamps.
         warmth_c: how much warmer it is than in the runs that the simulator was learned from, degrees Celsius.
     """
-    time_h = memory[_CLOCK, 0]
+    time_h, told_h = memory[_CLOCK, 0], memory[_CLOCK, 1]
     left_late, right_late = _delayed(memory, left, right, t[DELAY_H], dt_h)
     left_pull, right_pull = _pull(memory, 0, left_late, t, dt_h), _pull(memory, 1, right_late, t, dt_h)
     factor = _growth_factor(time_h, warmth_c, t)
@@ -155,12 +158,14 @@ def extended_step_lane(
     elastic = scratch(np.float64, CAPACITY)
     is_loaded = t[SAG] != 0.0 or t[WIND] != 0.0
     if is_loaded:
-        sag.recall(length, angle, n, t[SAG], t[WIND], t[SOFTNESS_CM], memory[_BENT:], elastic)
+        sag.recall(length, angle, n, t[SAG], t[WIND], t[SOFTNESS_CM], memory[_BENT:_SENT], elastic)
     driven_step_lane(
         length,
         angle,
         n,
         memory,
+        memory[_SENT:],
+        told_h,
         p,
         lamps_cm,
         left_late,
@@ -172,6 +177,7 @@ def extended_step_lane(
         t[SIDEWAYS],
         growth * factor,
         activity,
+        time_h,
         Form(
             t[BRIGHTNESS_MORE],
             t[LEAN_MORE],
@@ -181,13 +187,15 @@ def extended_step_lane(
             t[EVEN_LIGHT],
             t[APICAL],
             t[BY_AGE],
+            t[BY_HOURS],
+            t[SIGNAL_H_PER_CM],
         ),
         dt_h,
     )
     if not is_loaded:
         return int(split(length, angle, n))
     sag.settle(length, angle, n, t[SAG], t[WIND], t[SOFTNESS_CM], t[SETTLING_H], dt_h, elastic)
-    return int(sag.split_and_remember(length, angle, n, elastic, memory[_BENT:]))
+    return int(sag.split_and_remember(length, angle, n, elastic, memory[_BENT:_SENT]))
 
 
 @jit
@@ -300,7 +308,7 @@ class ExtendedLaw(TropismLaw):
 
     Args:
         lamps: where they hang.
-        terms: shape (24,).
+        terms: shape (26,).
         warmth_c: see :func:`extended_step_lane`, from the first step on; shape (steps, batch), or (steps, 1). Without
             it, it is as warm as in the runs that the simulator was learned from.
     """
@@ -357,7 +365,7 @@ class ExtendedLaw(TropismLaw):
 
         Args:
             stems, traits, step_h, every, out: see :meth:`flora_lab.simulator.law.Law.advance`.
-            terms: shape (batch, 24).
+            terms: shape (batch, 26).
             driven: what acts on them.
             seen: how they are shown in ``out``.
         """

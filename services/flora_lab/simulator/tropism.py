@@ -49,8 +49,16 @@ _RESPONSE: Final = float(np.log1p(1.0 / LIGHT_HALF))
 _NO_RESPONSE: Final = 1e-5
 _DARK: Final = 1e-9
 _LEAST_STRENGTH: Final = 0.05
+_ROUNDING: Final = 1e-9
+"""Parts of five minutes that sums of steps may be off."""
 _USUAL_LEAN_2: Final = 0.25
 """Square of the sine of 30 degrees."""
+COURSE_H: Final = 72.0
+"""From the early to the late rate of growth, where it follows the hours."""
+_SLOTS: Final = 72
+"""Five minutes each in the longest time that a signal is under way, and one that is being written."""
+SENT: Final = (_SLOTS // 2, 2)
+"""What is remembered of the apex's signal: one of five minutes after the other, two in a row."""
 _NEAREST_CM: Final = 5.0
 """A lamp gets no brighter when a stem comes nearer than that."""
 
@@ -75,6 +83,8 @@ class Form(NamedTuple):
         apical: share of light's pull that is everywhere as it is at the apex, which alone senses it.
         by_age: power of the rate of growth, about the mean of the early and the late one, with which the zones lengthen
             in which tissue grows, is soft, and is not mature: with 1 it leaves them at an age, wherever it has come to.
+        signal_h_per_cm: how long what the apex senses is under way to the tissue below it, at most six hours.
+        by_hours: share in which the rate of growth follows the hours since the start, and not the stem's length.
     """
 
     brightness_more: float
@@ -85,6 +95,8 @@ class Form(NamedTuple):
     even_light: float
     apical: float
     by_age: float
+    by_hours: float
+    signal_h_per_cm: float
 
 
 AS_WRITTEN: Final = Form(*(0.0 for _ in Form._fields))
@@ -141,18 +153,40 @@ def _light_across(
     return 0.0 if brightness < _DARK else float(across)
 
 
+@inlined
+def _send(sent: Array, light: float, told_h: float) -> int:
+    """What the apex senses goes on its way; returns its place. Before the first step it is taken to have been that."""
+    if told_h == 0.0:
+        sent[:] = light
+    at = int(told_h / LONGEST_STEP_H + _ROUNDING) % _SLOTS
+    sent[at // 2, at % 2] = light
+    return at
+
+
+@inlined
+def _arrived(sent: Array, at: int, ago_h: float) -> float:
+    """What the apex sensed so long ago."""
+    slots = min(ago_h / LONGEST_STEP_H, _SLOTS - 2.0)
+    whole = int(slots)
+    near, far = (at - whole) % _SLOTS, (at - whole - 1) % _SLOTS
+    share = slots - whole
+    return float((1.0 - share) * sent[near // 2, near % 2] + share * sent[far // 2, far % 2])
+
+
 @jit
-def _growth_cm_per_h(total_cm: float, p: Array, spurt_more: float) -> float:
+def _growth_cm_per_h(total_cm: float, time_h: float, p: Array, form: Form) -> float:
     """Elongation of the whole stem."""
     late = lateness(total_cm)
+    if form.by_hours != 0.0:
+        late += form.by_hours * (min(time_h / COURSE_H, 1.0) - late)
     linear = p[GROWTH_EARLY] + (p[GROWTH_LATE] - p[GROWTH_EARLY]) * late
-    return float(linear * (1.0 + 4.0 * spurt_more * late * (1.0 - late)) / 24.0)
+    return float(linear * (1.0 + 4.0 * form.spurt_more * late * (1.0 - late)) / 24.0)
 
 
 @jit
-def _quickness(total_cm: float, p: Array, spurt_more: float) -> float:
-    """How many times faster than usual a stem of this length grows."""
-    return float(_growth_cm_per_h(total_cm, p, spurt_more) * 48.0 / (p[GROWTH_EARLY] + p[GROWTH_LATE]))
+def _quickness(growth_cm_per_h: float, p: Array) -> float:
+    """How many times faster than usual a stem grows."""
+    return float(growth_cm_per_h * 48.0 / (p[GROWTH_EARLY] + p[GROWTH_LATE]))
 
 
 @inlined
@@ -165,6 +199,8 @@ def _bend(
     total_cm: float,
     longer: float,
     seen: Array,
+    sent: Array,
+    told_h: float,
     p: Array,
     lamps_cm: Array,
     left_pull: float,
@@ -186,15 +222,23 @@ def _bend(
         d = (total_cm - arc[j]) * shorter
         share = fast_exp(-d / p[STIFFENING]) / (1.0 + fast_exp((d - p[MATURE]) / edge_cm))
         soft[j] = share * dt_h if share > _NO_RESPONSE else 0.0
+    by_apex = scratch(np.float64, CAPACITY)
     at_apex = 0.0
     if form.apical != 0.0:
         a = n - 1
         at_apex = form.apical * _light_across(
             x[a], y[a], sin[a], cos[a], left, right, left_pull, right_pull, form, lamps_cm
         )
+    if form.signal_h_per_cm == 0.0:
+        for j in range(whole_registers(n)):
+            by_apex[j] = at_apex
+    else:
+        at = _send(sent, at_apex, told_h)
+        for j in range(whole_registers(n)):
+            by_apex[j] = _arrived(sent, at, max(total_cm - arc[j], 0.0) * form.signal_h_per_cm)
     for j in range(whole_registers(n)):
         light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form, lamps_cm)
-        light = (1.0 - form.apical) * light + at_apex
+        light = (1.0 - form.apical) * light + by_apex[j]
         weight = p[GRAVI] * sin[j] * (1.0 + form.lean_more * (sin[j] * sin[j] - _USUAL_LEAN_2))
         higher = max(1.0 - 2.0 * (total_cm - arc[j]) / p[MATURE], -1.0)
         stimulus = p[PHOTO] * light - weight + (bias + gradient * higher) + sideways * cos[j]
@@ -213,6 +257,8 @@ def driven_step_lane(
     angle: Array,
     n: int,
     seen: Array,
+    sent: Array,
+    told_h: float,
     p: Array,
     lamps_cm: Array,
     left: float,
@@ -224,11 +270,13 @@ def driven_step_lane(
     sideways: float,
     growth: float,
     activity: float,
+    time_h: float,
     form: Form,
     dt_h: float,
 ) -> None:
     """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others,
-    the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts.
+    the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts;
+    ``time_h`` is that since the start of the run. ``sent`` is of shape :data:`SENT`, and has been told of ``told_h``.
 
     Long segments are left whole: whoever takes the step cuts them, see :func:`flora_lab.simulator.rod.split`.
     """
@@ -236,7 +284,8 @@ def driven_step_lane(
     total = along(length, n, arc, reach)
     _see(seen, left, right, p[LATENCY], dt_h)
     bend_h = dt_h * activity
-    longer = 1.0 if form.by_age == 0.0 else _quickness(total, p, form.spurt_more) ** form.by_age
+    growth_cm_per_h = _growth_cm_per_h(total, time_h, p, form)
+    longer = 1.0 if form.by_age == 0.0 else _quickness(growth_cm_per_h, p) ** form.by_age
     _bend(
         length,
         angle,
@@ -246,6 +295,8 @@ def driven_step_lane(
         total,
         longer,
         seen,
+        sent,
+        told_h,
         p,
         lamps_cm,
         left_pull,
@@ -256,8 +307,7 @@ def driven_step_lane(
         form,
         bend_h,
     )
-    grown_cm = max(0.0, growth) * _growth_cm_per_h(total, p, form.spurt_more) * dt_h
-    elongate(length, n, arc, total, longer * p[GROWTH_ZONE], grown_cm)
+    elongate(length, n, arc, total, longer * p[GROWTH_ZONE], max(0.0, growth) * growth_cm_per_h * dt_h)
 
 
 @jit
@@ -276,7 +326,26 @@ def step_lane(
 ) -> int:
     """One step of at most :data:`LONGEST_STEP_H` of one plant, in place; returns its number of segments."""
     driven_step_lane(
-        length, angle, n, seen, p, lamps_cm, left, right, 1.0, 1.0, bias, 0.0, 0.0, growth, 1.0, AS_WRITTEN, dt_h
+        length,
+        angle,
+        n,
+        seen,
+        seen,
+        0.0,
+        p,
+        lamps_cm,
+        left,
+        right,
+        1.0,
+        1.0,
+        bias,
+        0.0,
+        0.0,
+        growth,
+        1.0,
+        0.0,
+        AS_WRITTEN,
+        dt_h,
     )
     return int(split(length, angle, n))
 
