@@ -17,7 +17,7 @@ from flora_lab.diagnose.knowledge import LAW_ROUNDS, blocks, law_of, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 from flora_lab.effects.law_forms import AS_WRITTEN
-from flora_lab.simulator.terms import APICAL, BY_AGE, BY_HOURS, EVEN_LIGHT, SIDE_ALONE, SPURT_MORE
+from flora_lab.simulator.terms import APICAL, BY_AGE, BY_HOURS, EVEN_LIGHT, SIDE_ALONE, SIGNAL_H_PER_CM, SPURT_MORE
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
 
@@ -120,16 +120,21 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     ("forms", "hours"),
     [
         ({}, 24.0),
-        ({"side_alone": SIDE_ALONE, "even_light": EVEN_LIGHT}, 36.0),
+        ({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0),
         # stems that do not come half way tell nothing of their course
-        ({"spurt": SPURT_MORE, "apical": APICAL, "by_age": BY_AGE}, 48.0),
-        ({"by_hours": BY_HOURS, "spurt": SPURT_MORE, "even_light": EVEN_LIGHT}, 60.0),
+        ({"spurt": (SPURT_MORE, 1.0), "apical": (APICAL, 1.0), "by_age": (BY_AGE, 1.0)}, 48.0),
+        pytest.param(
+            {"by_hours": (BY_HOURS, 1.0), "spurt": (SPURT_MORE, 1.0), "even_light": (EVEN_LIGHT, 1.0)},
+            60.0,
+            marks=pytest.mark.slow,
+        ),
+        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.3)}, 24.0),
     ],
 )
-def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, int], hours: float) -> None:
+def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, tuple[int, float]], hours: float) -> None:
     change = Change()
-    for term in forms.values():
-        change.terms[term] = 1.0
+    for term, amount in forms.values():
+        change.terms[term] = amount
     with one_blas_thread():
         told: list[None] = []
         scenes = [scene_of(seed, change=change, hours=hours) for seed in REFERENCE[:4]]

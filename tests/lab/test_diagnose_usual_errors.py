@@ -27,7 +27,7 @@ from flora_lab.diagnose.usual_errors import (
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, Effect
 from flora_lab.effects.law_forms import AS_WRITTEN, FORMS
-from flora_lab.simulator.terms import BRIGHTNESS_MORE
+from flora_lab.simulator.terms import APICAL, BRIGHTNESS_MORE, SIGNAL_H_PER_CM
 from flora_lab.threads import one_blas_thread
 
 DRAUGHTS = np.array([0.5, -1.0, 1.0, 2.0, -0.5, -2.0, 1.5, -1.5, 0.0]) * 0.03
@@ -84,6 +84,10 @@ def test_what_plants_differ_in_anyway_is_not_counted_twice() -> None:
 @pytest.mark.parametrize("effect", effects(), ids=causes())
 def test_a_push_is_the_effect_itself_as_long_as_it_is_small(effect: Effect) -> None:
     scene = scene_of(1, warm_c=np.linspace(20.0, 26.0, 288))
+    if effect.name == "signal_more":  # where each place senses light for itself no signal is sent
+        apical = Change()
+        apical.terms[[APICAL, SIGNAL_H_PER_CM]] = 1.0, 0.4
+        scene = scene.under(apical)
     own, kinds = strength_of(effect), directions(scene, TYPICAL, Change())[at(effect.name)]
     values = {p.name: p.value(p.centre) for p in effect.parameters}
     p = effect.parameters[own]

@@ -16,7 +16,7 @@ step:
 - the stem sags: weight above a joint, about ``SAG`` per cm^3 of softness at the tip, which falls e-fold within
   ``SOFTNESS_CM``, bends it elastically, with ``SETTLING_H`` as time constant, and the stem feels that bend as any
   other; a ``WIND`` to the right, in the same unit, does the same, pushing as hard on each cm as weight pulls;
-- the law itself may be of another form, see :class:`flora_lab.simulator.tropism.Form`: ``BRIGHTNESS_MORE``,
+- the law itself may be of another form, see :class:`flora_lab.simulator.tropism_form.Form`: ``BRIGHTNESS_MORE``,
   ``LEAN_MORE``, ``EDGE_MORE``, ``SPURT_MORE``, ``SIDE_ALONE``, ``EVEN_LIGHT``, ``APICAL``, ``BY_AGE``,
   ``BY_HOURS``, ``SIGNAL_H_PER_CM``;
 - a stem that leans towards a camera, or from it, looks longer: by a share of ``NEARER`` at the length of 22 cm, and
@@ -33,11 +33,13 @@ import numpy as np
 from flora_common.arrays import Array
 from flora_common.runs import LampsSection
 from flora_lab.simulator import sag
+from flora_lab.simulator.apex_signal import SENT
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
 from flora_lab.simulator.rod import CAPACITY, EARLY_CM, LATE_CM, LONGEST_STEP_H, in_lanes, jit, points_lane, split
-from flora_lab.simulator.tropism import LIGHT_HALF, SENT, Form, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism import LIGHT_HALF, TropismLaw, driven_step_lane
+from flora_lab.simulator.tropism_form import Form
 
 DELAY_H, RIGHT_TO_LEFT, AGEING_PER_H, ADAPTATION, ADAPTATION_H, PUSH = range(6)
 DIURNAL, PEAK_H, PER_DEGREE, ACTIVITY, SAG = range(6, 11)

@@ -17,13 +17,14 @@ the angle from the vertical (positive to the right), kappa the curvature and d t
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numba
 import numpy as np
 
 from flora_common.arrays import Array
 from flora_common.runs import LampsSection
+from flora_lab.simulator.apex_signal import arrived, send
 from flora_lab.simulator.fast_functions import fast_exp, fast_log1p, inlined
 from flora_lab.simulator.fast_scratch import scratch
 from flora_lab.simulator.law import Stems
@@ -40,6 +41,7 @@ from flora_lab.simulator.rod import (
     split,
     whole_registers,
 )
+from flora_lab.simulator.tropism_form import AS_WRITTEN, Form
 from flora_lab.simulator.tropism_traits import NAMES
 
 MATURE_EDGE_CM: Final = 0.8
@@ -49,57 +51,15 @@ _RESPONSE: Final = float(np.log1p(1.0 / LIGHT_HALF))
 _NO_RESPONSE: Final = 1e-5
 _DARK: Final = 1e-9
 _LEAST_STRENGTH: Final = 0.05
-_ROUNDING: Final = 1e-9
-"""Parts of five minutes that sums of steps may be off."""
 _USUAL_LEAN_2: Final = 0.25
 """Square of the sine of 30 degrees."""
 COURSE_H: Final = 72.0
 """From the early to the late rate of growth, where it follows the hours."""
-_SLOTS: Final = 72
-"""Five minutes each in the longest time that a signal is under way, and one that is being written."""
-SENT: Final = (_SLOTS // 2, 2)
-"""What is remembered of the apex's signal: one of five minutes after the other, two in a row."""
 _NEAREST_CM: Final = 5.0
 """A lamp gets no brighter when a stem comes nearer than that."""
 
 GROWTH_EARLY, GROWTH_LATE, GROWTH_ZONE, STIFFENING, MATURE, PHOTO, GRAVI, PROPRIO, LATENCY = range(9)
 """Columns of the constants; what they are stands in :mod:`flora_lab.simulator.tropism_traits`."""
-
-
-class Form(NamedTuple):
-    """In what the form of the law may be another; 0 as it is written above.
-
-    Attributes:
-        brightness_more: power of its brightness, about that of one lamp at the anchor, by which the pull of light rises
-            beyond the logarithm; in first order.
-        lean_more: by how much gravity's pull rises beyond the sine: 1 + this times (sin^2 - 1/4), so that both are the
-            same at 30 degrees.
-        edge_more: logarithm of how much wider the edge of mature tissue is.
-        spurt_more: by how much faster the stem grows half way between its early and late length than a straight line
-            between both rates.
-        side_alone: share of a pull that is the same whatever way the stem points: which side the light comes from
-            counts, not how steeply it falls on the stem.
-        even_light: share of the light that is everywhere as it is at the anchor, as if lamps were far away.
-        apical: share of light's pull that is everywhere as it is at the apex, which alone senses it.
-        by_age: power of the rate of growth, about the mean of the early and the late one, with which the zones lengthen
-            in which tissue grows, is soft, and is not mature: with 1 it leaves them at an age, wherever it has come to.
-        signal_h_per_cm: how long what the apex senses is under way to the tissue below it, at most six hours.
-        by_hours: share in which the rate of growth follows the hours since the start, and not the stem's length.
-    """
-
-    brightness_more: float
-    lean_more: float
-    edge_more: float
-    spurt_more: float
-    side_alone: float
-    even_light: float
-    apical: float
-    by_age: float
-    by_hours: float
-    signal_h_per_cm: float
-
-
-AS_WRITTEN: Final = Form(*(0.0 for _ in Form._fields))
 
 
 @inlined
@@ -151,26 +111,6 @@ def _light_across(
     on_the_stem = pull_x * cos - pull_y * sin
     across = strength * (on_the_stem + form.side_alone * (pull_x - on_the_stem)) / size
     return 0.0 if brightness < _DARK else float(across)
-
-
-@inlined
-def _send(sent: Array, light: float, told_h: float) -> int:
-    """What the apex senses goes on its way; returns its place. Before the first step it is taken to have been that."""
-    if told_h == 0.0:
-        sent[:] = light
-    at = int(told_h / LONGEST_STEP_H + _ROUNDING) % _SLOTS
-    sent[at // 2, at % 2] = light
-    return at
-
-
-@inlined
-def _arrived(sent: Array, at: int, ago_h: float) -> float:
-    """What the apex sensed so long ago."""
-    slots = min(ago_h / LONGEST_STEP_H, _SLOTS - 2.0)
-    whole = int(slots)
-    near, far = (at - whole) % _SLOTS, (at - whole - 1) % _SLOTS
-    share = slots - whole
-    return float((1.0 - share) * sent[near // 2, near % 2] + share * sent[far // 2, far % 2])
 
 
 @jit
@@ -233,9 +173,9 @@ def _bend(
         for j in range(whole_registers(n)):
             by_apex[j] = at_apex
     else:
-        at = _send(sent, at_apex, told_h)
+        at = send(sent, at_apex, told_h)
         for j in range(whole_registers(n)):
-            by_apex[j] = _arrived(sent, at, max(total_cm - arc[j], 0.0) * form.signal_h_per_cm)
+            by_apex[j] = arrived(sent, at, max(total_cm - arc[j], 0.0) * form.signal_h_per_cm)
     for j in range(whole_registers(n)):
         light = _light_across(x[j], y[j], sin[j], cos[j], left, right, left_pull, right_pull, form, lamps_cm)
         light = (1.0 - form.apical) * light + by_apex[j]
@@ -276,7 +216,8 @@ def driven_step_lane(
 ) -> None:
     """As :func:`step_lane`; the pull of each lamp, the rate of all bending and the form of the law can be others,
     the bias differ along the stem, and something push it ``sideways``, 1/(cm h), of which what is across it acts;
-    ``time_h`` is that since the start of the run. ``sent`` is of shape :data:`SENT`, and has been told of ``told_h``.
+    ``time_h`` is that since the start of the run. ``sent`` is of shape
+    :data:`flora_lab.simulator.apex_signal.SENT`, and has been told of ``told_h``.
 
     Long segments are left whole: whoever takes the step cuts them, see :func:`flora_lab.simulator.rod.split`.
     """
