@@ -128,7 +128,7 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
             60.0,
             marks=pytest.mark.slow,
         ),
-        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.3)}, 24.0),
+        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 48.0),
     ],
 )
 def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, tuple[int, float]], hours: float) -> None:

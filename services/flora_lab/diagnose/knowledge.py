@@ -106,6 +106,7 @@ def law_of(
     best = learn.learned(scenes, on_round)
     tried = [law]
     for aspect in _ASPECTS:
+        start = best
         for forms in laws[aspect]:
             rival = (*law[:aspect], forms, *law[aspect + 1 :])
             if rival in tried:
@@ -113,7 +114,7 @@ def law_of(
                     on_round()
                 continue
             tried.append(rival)
-            other = learn.learned_from(under(_extensions(rival), scenes), best, on_round)
+            other = learn.learned_from(under(_extensions(rival), scenes), start, best.evidence, on_round)
             if other.evidence - best.evidence > _RATHER * (_forms_in(rival) - _forms_in(law)):
                 law, best = rival, other
     return _extensions(law), best

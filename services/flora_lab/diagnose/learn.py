@@ -63,24 +63,32 @@ def learned(scenes: Sequence[Scene], on_round: Callable[[], None] = lambda: None
     sizes = chance.sizes_expected() * 1.5
     base = Base(prior_mean(), prior_spread(), _known_doubt(), sizes, first, first_sd, len(scenes))
     parts = [chance.covariances(scene, scene.answers(base.mean, Change())) for scene in scenes]
-    return learned_from(scenes, Learned(base, [], parts, -np.inf), on_round)
+    return learned_from(scenes, Learned(base, [], parts, -np.inf), -np.inf, on_round)
 
 
-def learned_from(scenes: Sequence[Scene], other: Learned, on_round: Callable[[], None] = lambda: None) -> Learned:
+def learned_from(
+    scenes: Sequence[Scene], start: Learned, rival: float, on_round: Callable[[], None] = lambda: None
+) -> Learned:
     """The same from what was learned of the same runs under another law.
 
     Where a law is not the plants' own, fits jump from round to round: the round after which runs are most probable
-    counts. A law that is far behind the other one after the first round is given up, and so is one that is behind and
-    does not catch up.
+    counts. A law that is far behind after the first round is given up, and so is one that is behind and does not catch
+    up.
+
+    Args:
+        scenes: the runs.
+        start: where to begin.
+        rival: :attr:`Learned.evidence` of the best law so far.
+        on_round: told of each of :data:`ROUNDS`.
     """
-    best = so_far = _carried_on(scenes, other, _FIRST_ITERATIONS)
+    best = so_far = _carried_on(scenes, start, _FIRST_ITERATIONS)
     on_round()
-    is_hopeful = best.evidence > other.evidence - _HOPELESS
+    is_hopeful = best.evidence > rival - _HOPELESS
     for _ in range(ROUNDS - 1):
         if is_hopeful:
             before, so_far = so_far, _carried_on(scenes, so_far, _ITERATIONS)
             best = max(best, so_far, key=lambda one: one.evidence)
-            behind = other.evidence - best.evidence
+            behind = rival - best.evidence
             is_hopeful = behind < 0.0 or so_far.evidence - before.evidence > _CATCHES_UP * behind
         on_round()
     return best
