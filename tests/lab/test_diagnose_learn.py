@@ -121,14 +121,16 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     [
         ({}, 24.0),
         ({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0),
+        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 48.0),
         # stems that do not come half way tell nothing of their course
-        ({"spurt": (SPURT_MORE, 1.0), "apical": (APICAL, 1.0), "by_age": (BY_AGE, 1.0)}, 48.0),
+        pytest.param(
+            {"spurt": (SPURT_MORE, 1.0), "apical": (APICAL, 1.0), "by_age": (BY_AGE, 1.0)}, 48.0, marks=pytest.mark.slow
+        ),
         pytest.param(
             {"by_hours": (BY_HOURS, 1.0), "spurt": (SPURT_MORE, 1.0), "even_light": (EVEN_LIGHT, 1.0)},
             60.0,
             marks=pytest.mark.slow,
         ),
-        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 48.0),
     ],
 )
 def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, tuple[int, float]], hours: float) -> None:
