@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -16,10 +18,12 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.knowledge import LAW_ROUNDS, blocks, law_of, spectra_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
-from flora_lab.effects.law_forms import AS_WRITTEN
+from flora_lab.effects.law_forms import AS_WRITTEN, LAWS, Law
 from flora_lab.simulator.terms import APICAL, BY_AGE, BY_HOURS, EVEN_LIGHT, SIDE_ALONE, SIGNAL_H_PER_CM, SPURT_MORE
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
+
+Rounds: TypeAlias = Callable[[], None]
 
 
 @functools.cache
@@ -116,12 +120,22 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
     assert twice[0].swings.power.tobytes() == twice[1].swings.power.tobytes()
 
 
+def chosen(forms: Mapping[str, tuple[int, float]], hours: float, laws: Sequence[Law], on_round: Rounds) -> set[str]:
+    """The law that is told of plants under one of these forms."""
+    change = Change()
+    for term, amount in forms.values():
+        change.terms[term] = amount
+    with one_blas_thread():
+        scenes = [scene_of(seed, change=change, hours=hours) for seed in REFERENCE[:4]]
+        law, best = law_of(scenes, on_round, laws)
+    assert len(best.fits) == 4
+    return {one.effect for one in law}
+
+
 @pytest.mark.parametrize(
     ("forms", "hours"),
     [
         ({}, 24.0),
-        ({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0),
-        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 48.0),
         # stems that do not come half way tell nothing of their course
         pytest.param(
             {"spurt": (SPURT_MORE, 1.0), "apical": (APICAL, 1.0), "by_age": (BY_AGE, 1.0)}, 48.0, marks=pytest.mark.slow
@@ -133,17 +147,23 @@ def test_the_same_runs_tell_the_same_to_the_bit() -> None:
         ),
     ],
 )
-def test_the_law_that_the_plants_are_under_is_chosen(forms: dict[str, tuple[int, float]], hours: float) -> None:
-    change = Change()
-    for term, amount in forms.values():
-        change.terms[term] = amount
-    with one_blas_thread():
-        told: list[None] = []
-        scenes = [scene_of(seed, change=change, hours=hours) for seed in REFERENCE[:4]]
-        law, best = law_of(scenes, lambda: told.append(None))
+def test_the_law_that_the_plants_are_under_is_chosen(forms: Mapping[str, tuple[int, float]], hours: float) -> None:
+    told: list[None] = []
+    assert chosen(forms, hours, LAWS, lambda: told.append(None)) == set(forms)
     assert len(told) == LAW_ROUNDS  # whichever law it is
-    assert len(best.fits) == 4
-    assert {one.effect for one in law} == set(forms)
+
+
+@pytest.mark.parametrize(
+    ("forms", "hours"),
+    [
+        ({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0),
+        ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 24.0),
+    ],
+)
+def test_how_light_is_sensed_is_told_where_nothing_else_is_asked(
+    forms: Mapping[str, tuple[int, float]], hours: float
+) -> None:
+    assert chosen(forms, hours, (AS_WRITTEN[0], LAWS[1], AS_WRITTEN[2]), lambda: None) == set(forms)
 
 
 def test_what_is_typical_does_not_depend_on_the_order_of_runs() -> None:

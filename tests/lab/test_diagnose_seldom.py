@@ -30,7 +30,7 @@ def one_of(seed: int, parts: int) -> Scene:
     return Scene(seldom(run_of(seed, light=turns(24.0, 6.0)), parts), LAW)
 
 
-@pytest.mark.parametrize("parts", [2, 4, 6])
+@pytest.mark.parametrize("parts", [pytest.param(2, marks=pytest.mark.slow), 4, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_healthy_run_is_one_however_seldom_it_was_photographed(parts: int) -> None:
     late = []
     for seed in (80, 81, 90, 91):

@@ -62,6 +62,7 @@ def test_the_hour_from_which_on_plants_grow_slower_is_told() -> None:
     assert found.size[0] == pytest.approx(-0.6, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_spell_that_comes_but_once_is_no_rhythm_of_the_day() -> None:
     """A pot that dries out and is watered: told as a rhythm, growth would seem to rest every day."""
     explanation = explained("a spell")
@@ -71,7 +72,9 @@ def test_a_spell_that_comes_but_once_is_no_rhythm_of_the_day() -> None:
     assert found.size[0] == pytest.approx(-0.8, abs=0.3)
 
 
-@pytest.mark.parametrize("which", ["by day", "a spell", pytest.param("late", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "which", ["by day", *(pytest.param(which, marks=pytest.mark.slow) for which in ("a spell", "late"))]
+)
 def test_no_name_is_given_with_confidence_to_what_has_none(which: str) -> None:
     explanation = explained(which)
     left = left_of(explanation, known())

@@ -70,6 +70,7 @@ def test_plants_that_the_law_describes_show_next_to_nothing() -> None:
     assert not usual.mean[DAY].any()
 
 
+@pytest.mark.slow
 def test_what_healthy_plants_show_as_well_is_no_news() -> None:
     alike, news = explained(shown(0.5), 0.5), explained(no_pushes(), 0.5)
     assert news.unnamed is not None

@@ -31,7 +31,7 @@ from bench.fuzz_vision import (
 from drawings.damage import KINDS
 from flora_common.vision.reading import NO_STEM, StemReading
 
-DRAWN, EACH = (5002, 5003), 2 * len(KINDS)
+DRAWN, EACH = (5002, 5003), len(KINDS)
 TWIN, OF_TWIN = 301, len(KINDS)
 PROCESSES = 2
 MOST_MISLED = 1

@@ -165,8 +165,9 @@ def _population(runs: Sequence[Linear], base: Base) -> Base:
     """What is known of plants after some runs; what is typical and how plants differ take turns."""
     known = prior_mean(), _known_doubt()
     mean, _ = marginal.typical(runs, base.sizes, base.spread, known)
+    sizes, spread = base.sizes, base.spread
     for _ in range(_TURNS):
-        sizes, spread = marginal.sizes_and_spread(runs, mean, base.sizes)
+        sizes, spread = marginal.sizes_and_spread(runs, mean, sizes, spread)
         mean, doubt = marginal.typical(runs, sizes, spread, known)
     return replace(base, mean=mean, spread=spread, doubt=doubt, sizes=sizes)
 
