@@ -43,10 +43,12 @@ class Photographed:
     Attributes:
         tick: the highest number among them; 0 where none has one.
         time_s: run time of the last one; None where no table tells.
+        of_run: whether any is of the run itself; False where all show the empty setup.
     """
 
     tick: int
     time_s: float | None
+    of_run: bool = True
 
 
 class Absence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -79,6 +81,7 @@ class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
         setup: the step of a setup run that the last picture of the empty setup answered.
         utc_is_right: the wall clock had been set by ``time_s``, in the boot of that time.
         absence: what is still to be measured; None for nothing.
+        is_blank: no photograph of the run has been seen in its folder yet.
     """
 
     tick: Count = 0
@@ -94,6 +97,7 @@ class BeatState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
     setup: Annotated[str, msgspec.Meta(max_length=128)] = ""
     utc_is_right: bool = True
     absence: Absence | None = None
+    is_blank: bool = False
 
 
 class Beat:
@@ -193,6 +197,10 @@ class Beat:
         seen = seen if self.state.begun else replace(seen, time_s=None)
         self.state = caught_up(self.state, seen, interval_s=self._interval_s)
 
+    def photographed(self) -> None:
+        """A photograph of the run lies in its folder: from now on a folder without any is that of another run."""
+        self.state = msgspec.structs.replace(self.state, is_blank=False)
+
     def is_recent(self, now: Reading) -> bool:
         """Whether the last number was given out so lately that it can still be photographed.
 
@@ -225,6 +233,7 @@ class Beat:
             setup=self.state.setup,
             utc_is_right=now.is_right or (self._is_same_boot(now) and self.state.utc_is_right),
             absence=self._absence,
+            is_blank=self.state.is_blank or not self.state.begun,
         )
         return Tick(tick=self.state.tick, time_s=time_s, late_s=late_s, skipped=skipped)
 
@@ -250,6 +259,14 @@ def recovered(run: str, *, last_tick: int, last_time_s: float | None) -> BeatSta
     """State for a run whose state file is gone: numbers and times go on after the photographs that are there."""
     begun = last_time_s is not None
     return BeatState(tick=last_tick, run=run, begun=begun, time_s=last_time_s or 0.0, due_s=last_time_s or 0.0)
+
+
+def is_of_another_run(state: BeatState, seen: Photographed | None) -> bool:
+    """Whether a run folder of the state's name is a new one: the state's run had photographs, and this has none.
+
+    Photographs may be freed once they are stored, tables stay.
+    """
+    return state.begun and not state.is_blank and not (seen and seen.of_run)
 
 
 def caught_up(state: BeatState, seen: Photographed, *, interval_s: float) -> BeatState:

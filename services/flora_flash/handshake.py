@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -99,7 +101,7 @@ class FlashService:
         self._timers: dict[str, Timer] = {}
         app.on(Tick, lambda _: None)  # our own last words, kept by the bus: how far the last start had come
         app.on(Flash, lambda _: None)
-        app.on(Frame, lambda frame: self._photographed(frame.tick))
+        app.on(Frame, self._photographed)
         app.on(FrameMissed, self._missed)
         app.on(Lamps, self._lamps_shine)
         app.on(Setup, self._setup_said)
@@ -182,14 +184,17 @@ class FlashService:
         self._start(tick)
 
     def _start(self, tick: Tick) -> None:
+        self._keep_state()
+        self._app.publish(tick)
+        self._light(tick)
+
+    def _keep_state(self) -> None:
         try:
             write_text(self._file, msgspec.json.encode(self._beat.state).decode() + "\n")
             self._app.trouble("state", "")
         except (DiskFull, OSError) as problem:
             # Lamps and controller live by the beat, a full disk or not. Until there is room, the bus alone remembers.
             self._app.trouble("state", f"the tick's number cannot be kept: {problem}")
-        self._app.publish(tick)
-        self._light(tick)
 
     # the lamp
 
@@ -213,10 +218,18 @@ class FlashService:
         self._time_outs = 0
         self._app.trouble("frame", "")
 
-    def _photographed(self, tick: int) -> None:
+    def _photographed(self, frame: Frame) -> None:
         self._capture_heard()
-        if self._open is not None and self._open.tick == tick:
+        if self._open is not None and self._open.tick == frame.tick:
             self._dark(self._open, "")
+        # After the lamp is dark: the disk may take its time.
+        if self._beat.state.is_blank and frame.purpose == "run" and frame.tick == self._beat.state.tick:
+            self._note_photograph(self._app.run.path / frame.path)
+
+    def _note_photograph(self, file: Path) -> None:
+        if os.access(file, os.F_OK):  # who photographs may keep them elsewhere
+            self._beat.photographed()
+            self._keep_state()
 
     def _missed(self, missed: FrameMissed) -> None:
         self._capture_heard()

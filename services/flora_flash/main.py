@@ -19,7 +19,7 @@ from flora_common.runs import RunFolder
 from flora_common.service import Action, default_clock, run_service
 from flora_common.twin_link import TwinLink, leader_clock
 from flora_flash.backends import Lamp, NoLamp
-from flora_flash.core import STATE_FILE, Beat, BeatState, caught_up, recovered
+from flora_flash.core import STATE_FILE, Beat, BeatState, caught_up, is_of_another_run, recovered
 from flora_flash.handshake import FlashSection, FlashService, read_clocks
 from flora_flash.photographs import last_photographed
 
@@ -51,12 +51,14 @@ def read_state(file: Path, run: RunFolder) -> BeatState | None:
     """Where the beat was left: by its file, or by the run's photographs where these have come further.
 
     The file may be older than they are, for it could not be written while its disk was full. A file of another run
-    gives its tick number alone.
+    gives its tick number alone: one of another name, or one of the same name that had photographs where this has none.
 
     Raises:
         BadInput: the file is damaged or cannot be read, or the photographs cannot be looked at.
     """
     state, seen, name = _read_file(file), last_photographed(run), run.name
+    if state is not None and state.run == name and is_of_another_run(state, seen):
+        state = BeatState(tick=state.tick, run=name)
     if seen is None:
         return state
     if state is None or state.run != name:

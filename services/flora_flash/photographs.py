@@ -48,11 +48,12 @@ def last_photographed(run: RunFolder) -> Photographed | None:
         BadRunFolder: something of it is there and cannot be read.
     """
     ledger = _readable(run.frames_log, _LEDGER_LINE.decode)
-    ticks = [*_numbers(run.frames), *(line.tick for line in ledger)]
+    numbers = list(_numbers(run.frames))
+    ticks = [*numbers, *(line.tick for line in ledger)]
     times_s = [line.time_s for line in ledger if line.purpose == "run"] + _readable(run.frames_csv, _time_s_of_row)
     if not ticks and not times_s:
         return None
-    return Photographed(tick=max(ticks, default=0), time_s=max(times_s, default=None))
+    return Photographed(tick=max(ticks, default=0), time_s=max(times_s, default=None), of_run=bool(numbers or times_s))
 
 
 def _numbers(folder: Path) -> Iterator[int]:

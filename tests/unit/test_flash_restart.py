@@ -290,6 +290,47 @@ def test_a_state_file_of_another_run_gives_its_number_alone_where_nothing_is_pho
     assert (tick.tick, tick.time_s) == (6, 0.0)
 
 
+@pytest.mark.parametrize("kept", ["nothing", "pictures of the empty setup"])
+def test_a_new_run_under_an_old_name_begins_at_time_0_with_the_next_number(
+    rig: Callable[..., Rig], tmp_path: Path, kept: str
+) -> None:
+    r = rig()
+    app = r.start()
+    photographs(tmp_path, range(1, 2))
+    app.hear(frame(1))
+    app.pass_s(300.0)
+    (tmp_path / "run").rename(tmp_path / "run-of-march")
+    r.clock.advance(86_400.0)
+    if kept != "nothing":
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "frames.jsonl").write_text('{"tick":1,"time_s":0.0,"purpose":"background"}\n')
+    again = r.start(*[app.heard(kind)[-1] for kind in (Tick, Flash)], frame(1))
+    again.pass_s(1.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(3, 0.0)]
+
+
+def test_a_run_that_only_lost_its_first_photographs_goes_on(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    for tick in (1, 2):
+        app.hear(FrameMissed(tick=tick, time_s=300.0 * (tick - 1), because="camera_gone", reason="x"))
+        app.pass_s(300.0)
+    assert [(t.tick, t.time_s) for t in app.heard(Tick)][-1] == (3, 600.0)
+    again = r.start(*[app.heard(kind)[-1] for kind in (Tick, Flash)])
+    again.hear(FrameMissed(tick=3, time_s=600.0, because="camera_gone", reason="x"))
+    again.pass_s(300.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(4, 900.0)]
+
+
+def test_a_run_whose_photographs_are_kept_elsewhere_goes_on(rig: Callable[..., Rig]) -> None:
+    r = rig()
+    app = r.start()
+    app.hear(frame(1))  # of a camera that is not ours: no such file is in the run folder
+    again = r.start(*[app.heard(kind)[-1] for kind in (Tick, Flash)], frame(1))
+    again.pass_s(300.0)
+    assert [(t.tick, t.time_s) for t in again.heard(Tick)] == [(2, 300.0)]
+
+
 def test_pictures_of_the_empty_setup_count_by_the_ledger_and_set_no_time(tmp_path: Path) -> None:
     run = photographs(tmp_path, range(1, 4))
     with run.frames_log.open("a") as ledger:
