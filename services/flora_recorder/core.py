@@ -35,7 +35,7 @@ class RecorderSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     flush_s: Annotated[float, msgspec.Meta(ge=0.05, le=60.0)] = 60.0
     """Real seconds between flushes: what a power cut can cost."""
 
-    rotate_h: Annotated[float, msgspec.Meta(gt=0.0, le=168.0)] = 24.0
+    rotate_h: Annotated[float, msgspec.Meta(ge=0.1, le=168.0)] = 24.0
     """Rig hours per file."""
 
     rotate_mib: Annotated[float, msgspec.Meta(ge=0.01, le=1024.0)] = 16.0
