@@ -10,6 +10,7 @@ picture, times in seconds since the run's start.
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from flora_common import files
-from flora_common.errors import BadRunFolder
+from flora_common.errors import BadRunFolder, StoreError
 from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
@@ -159,6 +160,29 @@ class RunFolder:
             raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
         table = read_toml(self.run_toml, BadRunFolder)
         return convert(table, RunFile, where=str(self.run_toml), error=BadRunFolder, unknown=unknown)
+
+    def check_place(self, place: Path) -> None:
+        """A run that is moved away is not begun anew in its place, where nobody would take what is written for a run's.
+
+        Nor does anything go on in another run, where the path has become a link to one.
+
+        Args:
+            place: where ``path`` led to at the start.
+
+        Raises:
+            StoreError: the run is no longer where it was, or its disk does not say.
+        """
+        if Path(os.path.realpath(self.path)) != place:  # no error of links that lead in a circle
+            raise StoreError(f"{self.path} leads to another run than at the start; restart the services for that")
+        try:
+            is_there = self.run_toml.is_file()
+        except OSError as problem:
+            raise StoreError(f"{self.run_toml}: cannot be looked at ({problem.strerror}); check its disk") from problem
+        if not is_there:
+            raise StoreError(
+                f"{self.run_toml} is not there: the run folder was moved or removed; put it back, or name another "
+                "[rig] run_dir and restart the services"
+            )
 
     def background_pictures(self) -> list[Path]:
         """Pictures of the setup without a plant, in name order."""

@@ -134,7 +134,7 @@ class Store:
         Raises:
             StoreError: a name for a picture of the empty setup that is none, or the run is no longer where it was.
         """
-        self._check_place()
+        self._run.check_place(self._place)
         if purpose == "background":
             if not SHOT_NAME.fullmatch(shot):
                 raise StoreError(f"`{shot}` is not a name for a picture of the empty setup, such as left.jpg")
@@ -144,19 +144,6 @@ class Store:
             number += 1
             name = f"frames/{tick:06d}-{number}.jpg"
         return name
-
-    def _check_place(self) -> None:
-        """A run that is moved away is not begun anew in its place, where nobody would take the photographs for a run's.
-
-        Nor do they go on in another run, where the path has become a link to one.
-        """
-        if self._run.path.resolve() != self._place:
-            raise StoreError(f"{self._run.path} leads to another run than at the start; restart the services for that")
-        if not self._run.run_toml.is_file():
-            raise StoreError(
-                f"{self._run.run_toml} is not there: the run folder was moved or removed; put it back, or name another "
-                "[rig] run_dir and restart the services"
-            )
 
     def whole(self, record: FrameRecord) -> bool:
         """Whether a listed photograph is on the disk as it was taken."""

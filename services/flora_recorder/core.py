@@ -64,6 +64,7 @@ class Recorder:
         clock: rig time.
         say: told about the file at its start, at its end and with each flush.
         on_gone: told in a sentence about a file that was deleted or moved while it was written.
+        check_place: asked before a file is begun; raises StoreError where the folder is no longer the run's.
         metadata: for each file.
     """
 
@@ -76,6 +77,7 @@ class Recorder:
         clock: Clock,
         say: Callable[[Recording], None],
         on_gone: Callable[[str], None],
+        check_place: Callable[[], None] = lambda: None,
         metadata: dict[str, str] | None = None,
     ) -> None:
         self._lost = 0
@@ -85,6 +87,7 @@ class Recorder:
         self._clock = clock
         self._say = say
         self._on_gone = on_gone
+        self._check_place = check_place
         self._metadata = {"rig": rig, **(metadata or {})}
         self._writer: RecordingWriter | None = None
         self._opened_ns = 0
@@ -153,7 +156,8 @@ class Recorder:
     def flush(self) -> None:
         """Put on the disk what waits, and say how the recording is.
 
-        A file that was deleted or moved while it was written is left behind, and a new one is begun.
+        A file that was deleted or moved while it was written is left behind, and a new one is begun, unless the run
+        folder itself was moved away.
 
         Raises:
             StoreError: as :meth:`hear`.
@@ -203,8 +207,15 @@ class Recorder:
         writer.leave()
         self._on_gone(
             f"{writer.open_path} was deleted or moved while it was written, with {writer.messages} messages;"
-            " the recording goes on in a new file"
+            f" the recording goes on in a new file{self._unless_out_of_place()}"
         )
+
+    def _unless_out_of_place(self) -> str:
+        try:
+            self._check_place()
+        except StoreError:
+            return " once the run folder is back"
+        return ""
 
     @property
     def lost(self) -> int:
@@ -212,6 +223,7 @@ class Recorder:
         return self._lost + (self._writer.lost if self._writer else 0)
 
     def _open(self) -> None:
+        self._check_place()
         try:
             path = self._free_name()
         except OSError as problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -9,12 +10,20 @@ from typing import Final
 from flora_common.app import App
 from flora_common.bus import Arrival
 from flora_common.errors import StoreError
+from flora_common.runs import RunFolder
 from flora_common.service import run_service
 from flora_recorder.core import Limits, Recorder, RecorderSection
 
 LAST_BATCHES: Final = 8
 LAST_QUIET_MS: Final = 100
 """What was published before the end may still be on its way."""
+
+
+def place_check(run: RunFolder) -> Callable[[], None]:
+    """Asks whether the run is still where it is now; of a folder that is no run's yet, nothing is asked."""
+    if not run.run_toml.is_file():
+        return lambda: None
+    return functools.partial(run.check_place, run.path.resolve())
 
 
 def build(app: App[RecorderSection]) -> None:
@@ -25,6 +34,7 @@ def build(app: App[RecorderSection]) -> None:
         clock=app.clock,
         say=app.publish,
         on_gone=lambda sentence: app.trouble("gone", sentence),
+        check_place=place_check(app.run),
         metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
     )
     is_recovered = False

@@ -19,7 +19,9 @@ from flora_common.errors import BadInput, DiskFull, StoreError
 from flora_common.messages import Message, Recording, Stem, Tick, encode
 from flora_common.recording import OPEN_SUFFIX, UNREADABLE, RecordingWriter
 from flora_common.recording_reader import Recorded, RecordingReader, recover
+from flora_common.runs import RunFolder
 from flora_recorder.core import Limits, Recorder
+from flora_recorder.main import place_check
 
 
 def arrival(message: Message, *, seq: int, rig: str = "box1") -> Arrival:
@@ -376,6 +378,68 @@ def test_a_recording_that_is_moved_is_whole_where_it_is_now(tmp_path: Path, when
     there = [r.sequence for path in (moved, *sorted(folder.iterdir())) for r in read(path)[0]]
     assert [r.sequence for r in recorded][:2] == [1, 2]
     assert there == [1, 2, 3]
+
+
+@pytest.mark.parametrize("how", ["moved", "another run"])
+def test_a_run_folder_that_is_moved_away_is_not_begun_anew_in_its_place(tmp_path: Path, how: str) -> None:
+    run, here, other = RunFolder(tmp_path / "current"), tmp_path / "bean-1", tmp_path / "bean-2"
+    for folder in (here, other):
+        folder.mkdir()
+        (folder / "run.toml").touch()
+    run.path.symlink_to(here)
+    said: list[Recording] = []
+    gone: list[str] = []
+    recorder = Recorder(
+        run.bus,
+        rig="box1",
+        limits=Limits(1 << 20, 3600 * 10**9),
+        clock=FakeClock(),
+        say=said.append,
+        on_gone=gone.append,
+        check_place=place_check(run),
+    )
+    recorder.hear(stem(1))
+    recorder.flush()
+    if how == "moved":
+        here.rename(tmp_path / "elsewhere")
+        reason = "the run folder was moved or removed"
+    else:
+        run.path.unlink()
+        run.path.symlink_to(other)
+        reason = "leads to another run than at the start"
+    with pytest.raises(StoreError, match=reason):
+        recorder.flush()
+    recorder.hear(stem(2))
+    with pytest.raises(StoreError, match=reason):
+        recorder.flush()
+    assert [sentence.partition("; ")[2] for sentence in gone] == [
+        "the recording goes on in a new file once the run folder is back"
+    ]
+    assert not here.exists() or how == "another run"
+    assert not (other / "bus").exists()
+    if how == "moved":
+        (tmp_path / "elsewhere").rename(here)
+    else:
+        run.path.unlink()
+        run.path.symlink_to(here)
+    recorder.flush()
+    recorder.hear(stem(3))
+    recorder.close()
+    assert recorder.lost == 1
+    assert [r.sequence for path in sorted((here / "bus").iterdir()) for r in read(path)[0]] == [1, 3]
+
+
+def test_a_run_folder_that_its_disk_does_not_give_out_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = RunFolder(tmp_path)
+    run.run_toml.touch()
+    check = place_check(run)
+
+    def bad(*_: object) -> bool:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(Path, "is_file", bad)
+    with pytest.raises(StoreError, match=r"run\.toml: cannot be looked at \(Input/output error\)"):
+        check()
 
 
 def test_recorder_finishes_left_over_files_but_not_its_own(tmp_path: Path) -> None:
