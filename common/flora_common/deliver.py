@@ -17,6 +17,7 @@ from flora_common.bus import BusClient
 from flora_common.clock import FollowerClock
 from flora_common.config import RigSection
 from flora_common.controller_file import LoadedController
+from flora_common.counted import counted
 from flora_common.errors import BadController, BusUnreachable
 from flora_common.messages import ControllerAnswer, Health
 from flora_common.offering import ASK_SLOWLY_EVERY_S, Sending, offer_of
@@ -99,7 +100,7 @@ def deliver(
 def outcome(answer: ControllerAnswer, *, rig: str, name: str) -> str:
     """What became of an offer, in a sentence."""
     if answer.stage == "shadowing":
-        ticks = f"{answer.shadow_ticks_left} tick{'' if answer.shadow_ticks_left == 1 else 's'}"
+        ticks = f"{counted(answer.shadow_ticks_left, 'tick')}"
         return f"rig `{rig}` took {name}; `{answer.steers}` steers for {ticks} more, the new one in its shadow"
     if answer.stage == "steering":
         return f"rig `{rig}` took {name}: `{answer.steers}` steers"

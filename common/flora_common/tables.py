@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from flora_common.counted import counted
 from flora_common.errors import BadRunFolder
 from flora_common.suggest import clipped, did_you_mean
 
@@ -61,7 +62,9 @@ def read_csv(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[st
         if not any(field.strip() for field in row):
             continue
         if len(row) < len(header) or any(field.strip() for field in row[len(header) :]):
-            raise BadRunFolder(f"{path} line {number}: {len(row)} values under {len(header)} columns")
+            raise BadRunFolder(
+                f"{path} line {number}: {counted(len(row), 'value')} under {counted(len(header), 'column')}"
+            )
         yield number, {name: field for name, field in zip(header, row, strict=False) if name}
 
 

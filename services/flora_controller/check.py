@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flora_common.cli import ArgumentParser, run_cli
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller
+from flora_common.counted import counted
 from flora_common.errors import BadController, BadInput
 from flora_common.signing import read_trusted_keys, signer_of
 
@@ -25,9 +26,9 @@ def check_file(argv: Sequence[str]) -> int:
         network, file = loaded.network, loaded.file
         links = sum(len(node.links) for node in network.nodes)
         print(
-            f"{options.file}: good; `{file.name}`, task `{file.task.name}`, {len(network.inputs)} inputs, "
-            f"{len(network.nodes)} nodes, {links} links, {_range(loaded)}, sha256 {loaded.sha256[:12]}; "
-            f"{_signed(loaded, options.keys)}"
+            f"{options.file}: good; `{file.name}`, task `{file.task.name}`, {counted(len(network.inputs), 'input')}, "
+            f"{counted(len(network.nodes), 'node')}, {counted(links, 'link')}, {_range(loaded)}, "
+            f"sha256 {loaded.sha256[:12]}; {_signed(loaded, options.keys)}"
         )
 
     return run_cli("flora-controller", work)

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from flora_common.arrays import FloatArray
+from flora_common.counted import counted
 from flora_common.geometry import clearance_cm
 from flora_common.messages import ControllerState, LightCommand, Stem
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
@@ -252,7 +253,7 @@ class ControllerCore:
         )
 
     def _blindly(self, time_s: float, why: str, light: Light | None, blind_ticks: int) -> Decision:
-        since = f"blind for {blind_ticks} tick{'s' if blind_ticks > 1 else ''} ({why})"[: LONGEST_SENTENCE - 80]
+        since = f"blind for {counted(blind_ticks, 'tick')} ({why})"[: LONGEST_SENTENCE - 80]
         if light is not None and blind_ticks <= self._section.blind_hold_ticks:
             output = 1.0 if light == "right" else 0.0
             return Decision(light, output, f"{since}: the last light is held")

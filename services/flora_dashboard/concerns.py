@@ -9,6 +9,7 @@ import msgspec
 
 from flora_common import setup_run
 from flora_common.bus import Freshness, late_after_s
+from flora_common.counted import counted
 from flora_common.health import Line
 from flora_common.messages import (
     ControllerState,
@@ -102,7 +103,7 @@ def _of_light(inbox: Freshness, told: frozenset[str]) -> Iterator[Concern]:
     if light is not None and light.blind and "flora-controller" not in told:
         yield Concern("problem", f"The controller decides without a stem. {light.reason}".rstrip())
     if state is not None and state.shadow:
-        yield Concern("notice", f"{state.shadow} runs in shadow, {state.shadow_ticks_left} ticks to go.")
+        yield Concern("notice", f"{state.shadow} runs in shadow, {counted(state.shadow_ticks_left, 'tick')} to go.")
 
 
 def _of_plant(inbox: Freshness) -> Iterator[Concern]:

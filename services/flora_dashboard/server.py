@@ -13,6 +13,7 @@ from typing import Any, Final
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from flora_common.counted import counted
 from flora_common.errors import ConfigError
 from flora_dashboard.web import Latest
 
@@ -147,7 +148,7 @@ class PageServer:
             if self._unanswered == 1:
                 self._loop.call_soon_threadsafe(self._sign)
         refused, self._refused = self._refused, 0
-        return f"{refused} connections were refused: too many are open" if refused else ""
+        return f"{counted(refused, 'connection')} refused: too many are open" if refused else ""
 
     def _sign(self) -> None:
         self._unanswered = 0

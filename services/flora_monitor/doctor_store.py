@@ -11,6 +11,7 @@ import msgspec
 
 from flora_common.config import DEFAULT_CONFIG
 from flora_common.controller_file import SUFFIX
+from flora_common.counted import counted
 from flora_common.errors import BadInput, BadRunFolder
 from flora_common.runs import RunFile
 from flora_common.signing import LARGEST_KEY_FILE, PUBLIC_SUFFIX, read_trusted_keys
@@ -49,7 +50,7 @@ def check_run(case: Case) -> str:
             f"{name}/background has no pictures of the empty box: flora-stem calibrate --wait, before the plant"
         )
     plant = f"plant `{about.plant}`" if about.plant else "no plant named"
-    return f"{name}: {plant}, every {about.interval_s:g} s, {pictures} pictures of the empty box"
+    return f"{name}: {plant}, every {about.interval_s:g} s, {counted(pictures, 'picture')} of the empty box"
 
 
 def _unwritable(case: Case) -> str:

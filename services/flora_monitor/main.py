@@ -18,6 +18,7 @@ from rich.live import Live
 from flora_common.bus import LATE_FACTOR
 from flora_common.cli import run_typer, version_line
 from flora_common.clock import SystemClock
+from flora_common.counted import counted
 from flora_common.errors import BadInput, BusUnreachable, DiskFull, StoreError
 from flora_common.health import HealthBoard
 from flora_common.outputs import can_be_made
@@ -77,7 +78,8 @@ def _summed_up(summary: Callable[[], str]) -> Iterator[None]:
 
 def _said(board: Board, began_s: float) -> str:
     took_s = time.monotonic() - began_s
-    return f"{board.messages} messages, {board.lost} lost, {board.bad} bad, {board.repeated} repeated in {took_s:.1f} s"
+    counts = f"{counted(board.messages, 'message')}, {board.lost} lost, {board.bad} bad, {board.repeated} repeated"
+    return f"{counts} in {took_s:.1f} s"
 
 
 @app.command()
@@ -313,7 +315,7 @@ def replay(
 
 
 def _played(file: Path, played: tape.Played) -> str:
-    text = f"{file}: {played.sent} messages said again"
+    text = f"{file}: {counted(played.sent, 'message')} said again"
     if played.left_out:
         text += f", {played.left_out} left out"
     if played.unreadable:
@@ -365,7 +367,7 @@ def check(
             for line in tape.check_lines(checked):
                 print(line)
             whole = checked.problem or "whole"
-            print(f"{file}: {checked.messages} messages over {checked.span_s:.1f} s; {whole}")
+            print(f"{file}: {counted(checked.messages, 'message')} over {checked.span_s:.1f} s; {whole}")
         status = max(status, 1 if checked.problem else 0)
     raise typer.Exit(status)
 

@@ -14,6 +14,7 @@ import msgspec
 
 from flora_common.bus import Arrival
 from flora_common.clock import NS, Clock
+from flora_common.counted import counted
 from flora_common.errors import StoreError
 from flora_common.messages import Recording
 from flora_common.recording import OPEN_SUFFIX, RecordingWriter, is_being_written, store_error
@@ -206,7 +207,7 @@ class Recorder:
         self._lost += writer.lost
         writer.leave()
         self._on_gone(
-            f"{writer.open_path} was deleted or moved while it was written, with {writer.messages} messages;"
+            f"{writer.open_path} was deleted or moved while it was written, with {counted(writer.messages, 'message')};"
             f" the recording goes on in a new file{self._unless_out_of_place()}"
         )
 

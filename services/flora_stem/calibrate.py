@@ -24,6 +24,7 @@ import zmq
 from flora_common.bus import BusClient
 from flora_common.cli import ArgumentParser, run_cli
 from flora_common.config import RigSection, load_config
+from flora_common.counted import counted
 from flora_common.errors import BadInput, BusUnreachable, DeviceError, StoreError
 from flora_common.files import fsync_folder, make_folder
 from flora_common.lock import AlreadyHeld, hold_folder
@@ -267,7 +268,8 @@ def photograph(rig: RigSection, run: RunFolder, options: argparse.Namespace) -> 
     there = run.background_pictures()
     if there and not options.again:
         raise BadInput(
-            f"{run.background}: already holds {len(there)} pictures; --again sets them aside and takes new ones"
+            f"{run.background}: already holds {counted(len(there), 'picture')}; --again sets them aside and takes "
+            "new ones"
         )
     steps = plan(options.each)
     clock = default_clock(rig)

@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from flora_common import files
 from flora_common.config import load_config
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.outputs import can_be_made, check_file, is_picture, is_track, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
@@ -207,7 +208,7 @@ def grow_runs(
             inner.path.mkdir()
             inner.run_toml.write_text(run.run_text(), encoding="utf-8")
             inner.track_csv.write_text(run.track_text(), encoding="utf-8")
-    typer.echo(f"wrote {len(runs)} runs of {hours:g} h in {output}")
+    typer.echo(f"wrote {counted(len(runs), 'run')} of {hours:g} h in {output}")
 
 
 def _photograph(output: Path, planned: Sequence[PlannedRun], hours: float, *, quiet: bool, force: bool) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from flora_common import files
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.lock import AlreadyHeld, hold
 from flora_common.suggest import clipped
@@ -92,7 +93,7 @@ def _take_over(part: Path, work: dict[str, Any], *, force: bool) -> None:
     then = _read_work(part)
     is_same = then == work
     if whole and not is_same and not force:
-        count = f"{len(whole)} finished run{'s' if len(whole) > 1 else ''}"
+        count = counted(len(whole), "finished run")
         raise BadInput(f"{part}: holds {count} of other work, {_differences(then, work)}; {_REMEDY}")
     for left in folders:
         if not is_same or left not in whole:

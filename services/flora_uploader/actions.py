@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from flora_common.config import RigSection
+from flora_common.counted import counted
 from flora_common.errors import ConfigError, StoreError
 from flora_common.files import make_folder
 from flora_uploader.config import SWITCHED_OFF, UploaderSection, make_target, runs_dir
@@ -79,8 +80,9 @@ def upload_once(rig: RigSection, config: UploaderSection) -> int:
     totals = uploader.totals
     damaged = ledger.counts["damaged"]
     print(
-        f"{target.name}: {totals.files} files copied ({totals.bytes / 1e6:.1f} MB), {totals.found_there} were there,"
-        f" {uploader.stored} stored in all, {uploader.waiting - damaged} waiting, {damaged} damaged"
+        f"{target.name}: {counted(totals.files, 'file')} copied ({totals.bytes / 1e6:.1f} MB), "
+        f"{totals.found_there} were there, {uploader.stored} stored in all, "
+        f"{uploader.waiting - damaged} waiting, {damaged} damaged"
     )
     for event in refused[:SHOWN]:
         print(f"flora-uploader: {event.reason}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+from flora_common.counted import counted
 from flora_common.runs import RunFolder
 from flora_uploader import scan
 from flora_uploader.conditions import Conditions
@@ -94,8 +95,8 @@ class Spool:
         if everything:
             self._give_up_on_runs_that_are_gone(found)
             text = (
-                f"{len(left_out)} files or run folders have names that are not UTF-8 text, or lie more than "
-                f"{scan.MAX_DEPTH} folders deep, and are not sent: "
+                f"{counted(len(left_out), 'path')} of files or run folders not sent, for names that are not UTF-8 "
+                f"text, or more than {scan.MAX_DEPTH} folders of depth: "
             )
             self._conditions.set("left out", text + left_out[0] if left_out else "")
         return True
@@ -130,7 +131,7 @@ class Spool:
             self._conditions.clear(f"run {run}")  # it has come back
         for run, count in self._ledger.waiting_by_run().items():
             if run not in found.runs and run not in found.unreadable:
-                reason = f"{self._runs_dir / run}: the run folder is gone, with {count} files that were not stored"
+                reason = f"{self._runs_dir / run}: the run folder is gone, with {counted(count, 'file')} not stored"
                 self._ledger.mark_run_vanished(run, reason)  # should it come back, its files wait again
                 self._conditions.set(f"run {run}", reason)
                 self._conditions.clear(f"owner {run}")

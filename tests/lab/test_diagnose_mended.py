@@ -80,7 +80,7 @@ def test_what_is_judged_was_not_fitted_to(runs: list[MeasuredRun], whole: Mended
     assert held_out is not None
     assert held_out.simulator.memory.tobytes() == whole.simulator.memory.tobytes()
     assert [run.name for run in held_out.runs] == ["bean3"]
-    assert "1 runs held out" in held_out.judged_on
+    assert "1 run held out" in held_out.judged_on
     plant = whole.simulator
     stems = interface.run(plant, plant.start(runs[3].points_cm[:1]), runs[3].light[:, None], 300.0)[:, 0]
     assert held_out.stems_cm[MEMORY][0][1:] == pytest.approx(stems, abs=1e-9)

@@ -19,7 +19,7 @@ from msgspec import structs
 
 from flora_common.controller_file import load_controller
 from flora_common.runs import LampsSection
-from flora_lab.evolve import plan
+from flora_lab.evolve import plan, summary
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.evolution_folder import read_evolution, standing
 from flora_lab.evolve.individuals import HELD_OUT, Individuals
@@ -108,6 +108,11 @@ def test_it_says_what_came_out(simulator: Path, task: Path, tmp_path: Path, caps
     assert all(f"{scenario.name}: " in said for scenario in TASK.scenarios)
     assert said.endswith(f"wrote {tmp_path / 'e'}\n")
     assert not kept_path(tmp_path / "e").exists()
+
+
+def test_one_run_of_one_generation_is_told_without_plural(evolved: Path) -> None:
+    one = structs.replace(read_evolution(evolved).info, runs=1, generations=1)
+    assert f"{TASK.name}: 1 run of 1 generation, population {POPULATION}\n" in summary.text(one, evolved)
 
 
 def test_json_holds_the_figures_of_the_folder(simulator: Path, task: Path, tmp_path: Path, capsys: Any) -> None:

@@ -285,7 +285,7 @@ def test_connections_for_which_there_is_no_descriptor_are_counted_and_told_once(
         )
     loop.call_soon_threadsafe(lambda: told.append({}))
     served.wait(lambda: bool(told))
-    assert served.server.check() == "70 connections were refused: too many are open"
+    assert served.server.check() == "70 connections refused: too many are open"
     assert served.server.check() == ""
 
 

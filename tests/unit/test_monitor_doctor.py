@@ -37,7 +37,7 @@ def test_a_pi_where_all_is_well_gets_a_tick_for_each_part(pi: Pi) -> None:
     assert [f"{f.part}: {f.text}" for f in findings.values() if f.verdict != "good"] == []
     assert list(findings) == [part for part, _ in CHECKS]
     assert "imx219" in findings["camera"].text
-    assert "1 pictures of the empty box" in findings["run folder"].text
+    assert "1 picture of the empty box" in findings["run folder"].text
     assert summary(list(findings.values())) == "nothing is wrong"
 
 

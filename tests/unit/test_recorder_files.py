@@ -341,7 +341,7 @@ def test_a_recording_that_is_deleted_is_noticed_at_the_next_flush(tmp_path: Path
         folder.unlink()
     recorder.flush()
     assert gone == [
-        f"{first} was deleted or moved while it was written, with 1 messages; the recording goes on in a new file"
+        f"{first} was deleted or moved while it was written, with 1 message; the recording goes on in a new file"
     ]
     recorder.flush()
     assert len(gone) == 1

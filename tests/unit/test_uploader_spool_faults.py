@@ -218,7 +218,7 @@ def test_a_folder_that_lies_too_deep_is_told(bench: Bench) -> None:
     bench.write("1/2/3/4/5/6/7/8/9/not-there.txt", b"x")
     bench.work(3700.0)
     assert bench.uploader.conditions.sentence() == (
-        "1 files or run folders have names that are not UTF-8 text, or lie more than 8 folders deep, and are not sent: "
+        "1 path of files or run folders not sent, for names that are not UTF-8 text, or more than 8 folders of depth: "
         "'1/2/3/4/5/6/7/8/9'"
     )
 
@@ -232,7 +232,7 @@ def test_a_run_folder_whose_name_is_no_text_is_told_and_the_others_go_on(bench: 
     bench.work()
     assert bench.there("notes.txt") == file.read_bytes()
     sentence = bench.uploader.conditions.sentence()
-    assert "1 files or run folders have names that are not UTF-8" in sentence
+    assert "1 path of files or run folders not sent, for names that are not UTF-8" in sentence
     assert "bean-" in sentence.encode().decode()
 
 
@@ -242,4 +242,6 @@ def test_the_present_run_folder_is_counted_once_where_its_name_is_no_text(bench:
     bench.run = present
     bench.restart()
     bench.work()
-    assert "1 files or run folders have names that are not UTF-8" in bench.uploader.conditions.sentence()
+    assert (
+        "1 path of files or run folders not sent, for names that are not UTF-8" in bench.uploader.conditions.sentence()
+    )

@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
+from flora_common.counted import counted
+
 # Read when OpenCV is loaded: its own chatter about a device that is not there would stand before our one line.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -64,7 +66,7 @@ class OpenCvCamera:
         if not is_read or picture is None:
             if self._is_device:
                 raise CameraGone(f"{self._name}: the camera gives no picture")
-            raise FilmEnded(f"{self._name}: the film has ended after {self._length(request.index)} pictures")
+            raise FilmEnded(f"{self._name}: the film has ended after {counted(self._length(request.index), 'picture')}")
         is_packed, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
         if not is_packed:
             raise BadPicture(f"{self._name}: the picture cannot be written as JPEG")

@@ -10,6 +10,7 @@ from typing import Any
 from flora_capture.backends import FilmEnded
 from flora_capture.source import pictures_of
 from flora_capture.wire import CameraSettings, Request
+from flora_common.counted import counted
 from flora_common.errors import BadPicture, BadRunFolder, CameraGone
 from flora_common.runs import RunFolder
 
@@ -28,7 +29,7 @@ class ReplayCamera:
 
     def shoot(self, request: Request) -> tuple[bytes, dict[str, Any]]:
         if request.index >= len(self._files):
-            raise FilmEnded(f"{self._run.path}: the run has ended after {len(self._files)} pictures")
+            raise FilmEnded(f"{self._run.path}: the run has ended after {counted(len(self._files), 'picture')}")
         file = self._files[request.index]
         try:
             jpeg = file.read_bytes()

@@ -11,6 +11,7 @@ import msgspec
 import typer
 from rich.console import Console
 
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_lab.dataset.build import Built, build
 from flora_lab.dataset.recipe import (
@@ -141,7 +142,7 @@ def dataset(
         typer.echo(json.dumps(numbers(made, output)))
     elif not quiet:
         typer.echo(counts_text(built), nl=False)
-        typer.echo(f"wrote {output}: {len(built.pairs)} vectors of {len(tracks)} run{'s' if len(tracks) > 1 else ''}")
+        typer.echo(f"wrote {output}: {counted(len(built.pairs), 'vector')} of {counted(len(tracks), 'run')}")
 
 
 def numbers(made: Dataset, output: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
+from flora_common.counted import counted
 from flora_lab import html_page
 from flora_lab.diagnose.diagnosis import SIMULATOR_NAMES, SURE_ERRORS
 from flora_lab.evolve.task import Task
@@ -44,9 +45,9 @@ def judged_on(task: Task, seeds: int, plants: int, *, is_beside_another: bool) -
     plans = f" Light plans are made for its scenario {scenario} alone." if len(task.scenarios) > 1 else ""
     return (
         f"Task {task.name}: {seeds} evolutions in the simulator as it is{which} and {seeds} in the extended one, run "
-        f"on the same {plants} plants, which no evolution has seen.{plans} Nobody knows the plant better than the "
-        "extended simulator, so its plants stand for it: this tells what the causes are worth to controllers if they "
-        "are right, not whether they are."
+        f"on the same {counted(plants, 'plant')}, which no evolution has seen.{plans} Nobody knows the plant better "
+        "than the extended simulator, so its plants stand for it: this tells what the causes are worth to controllers "
+        "if they are right, not whether they are."
     )
 
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_lab.diagnose import boosting
 from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, Gain
 from flora_lab.diagnose.explanation import Explanation
@@ -88,12 +89,14 @@ def measure_gain(
         runs = [*scenes, *holdout]
         change = found.hypothesis.change(found.coordinates)
         folds = [Fold(tuple(range(count)), tuple(range(count, len(runs))), change)]
-        judged_on = f"{_runs(len(holdout))} held out, which neither the choice of the causes nor the fit has seen"
+        judged_on = (
+            f"{counted(len(holdout), 'run')} held out, which neither the choice of the causes nor the fit has seen"
+        )
     elif count > 1:
         runs = list(scenes)
         folds, other = _left_out(explanation)
         judged_on = (
-            f"each of {_runs(count)} by what the others tell: parameters were fitted anew without it, and the chosen "
+            f"each of {count} runs by what the others tell: parameters were fitted anew without it, and the chosen "
             f"causes had to win again over their {RIVALS} strongest rivals"
             + (f", which they did not {_times(other)}" if other else "")
             + "; that they were chosen from all causes with all runs makes the figures a little too good"
@@ -175,10 +178,6 @@ def _tell(into: dict[str, float], name: str, runs: list[Array]) -> None:
     if runs:
         into[name] = round(float(np.median([own.mean() for own in runs])), 3)
         into[name + POOLED] = round(float(np.sqrt(np.mean(np.concatenate(runs) ** 2))), 3)
-
-
-def _runs(count: int) -> str:
-    return f"{count} run{'s' if count > 1 else ''}"
 
 
 def _times(count: int) -> str:

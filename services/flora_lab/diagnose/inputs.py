@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import record
@@ -155,8 +156,8 @@ def read_reference(folder: Path, measured: Runs) -> Runs:
     inner = sorted(p for p in shown if (p / "track.csv").is_file() or p.suffix.lower() in TRACK_SUFFIXES)
     if len(inner) < FEWEST_REFERENCES:
         raise BadInput(
-            f"{folder}: holds {len(inner)} runs with a track; at least {FEWEST_REFERENCES} are needed to tell how "
-            "plants differ"
+            f"{folder}: holds {counted(len(inner), 'run')} with a track; at least {FEWEST_REFERENCES} are needed to "
+            "tell how plants differ"
         )
     reference = read_runs(inner)
     _check_others(reference, measured, "a run cannot be its own reference")

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from flora_common.arrays import BoolArray, FloatArray
+from flora_common.counted import counted
 from flora_lab.diagnose.diagnosis import AROUND_H, END, HORIZONS_H, NamedCause
 from flora_lab.rollout.free_running import free_run
 from flora_lab.rollout.time_scale import best_time_scale
@@ -107,7 +108,7 @@ def mended(
     times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
     table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
     if holdout:
-        judged_on = f"{len(holdout)} runs held out"
+        judged_on = f"{counted(len(holdout), 'run')} held out"
     elif len(runs) > 1:
         judged_on = f"each of {len(runs)} runs, by what the others tell"
     else:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, Final, Literal
 
+from flora_common.counted import counted
 from flora_lab import html_page
 from flora_lab.diagnose import controllers_told, learned_told
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
@@ -101,10 +102,10 @@ def sure_text(confidence: float) -> str:
 
 def _lead(diagnosis: Diagnosis) -> str:
     runs = len(diagnosis.runs)
-    text = f"{runs} measured run{'s' if runs != 1 else ''} beside the simulator" if runs else "Beside the simulator"
+    text = f"{counted(runs, 'measured run')} beside the simulator" if runs else "Beside the simulator"
     learned = diagnosis.base.get("runs")
     if isinstance(learned, int) and learned:
-        text += f", which was learned from {learned} reference run{'s' if learned != 1 else ''}"
+        text += f", which was learned from {counted(learned, 'reference run')}"
     return f"{text}."
 
 

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_lab.simulator.measured import MeasuredRun
 
 GAP_H: Final = 0.5
@@ -37,7 +38,7 @@ def cleaned(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     if wrong.any():
         jumps, stuck = int(jumped.sum()), int(stuck_rows.sum())
         if jumps:
-            told.append(f"{run.name}: {_times(jumps, 'stem')} lay far from those before and after; left out")
+            told.append(f"{run.name}: {counted(jumps, 'stem')} lay far from those before and after; left out")
         if stuck:
             hours = stuck * run.step_s / 3600.0
             told.append(f"{run.name}: for {hours:.1f} h the very same stem was told again and again; left out")
@@ -131,7 +132,3 @@ def _longest_gap(measured: Array) -> int:
         run = 0 if known else run + 1
         longest = max(longest, run)
     return longest
-
-
-def _times(count: int, what: str) -> str:
-    return f"{count} {what}{'s' if count != 1 else ''}"

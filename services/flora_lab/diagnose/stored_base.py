@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, residuals, usual_errors
@@ -194,7 +195,7 @@ def _shown(stored: Stored) -> residuals.ReferenceResiduals:
         ) from problem
     if len(shown.misfit) < FEWEST_REFERENCES:
         raise BadInput(
-            f"{stored.path}: `{start}misfit` is of {len(shown.misfit)} runs, at least {FEWEST_REFERENCES} are needed; "
-            "learn it anew with --reference"
+            f"{stored.path}: `{start}misfit` is of {counted(len(shown.misfit), 'run')}, at least {FEWEST_REFERENCES} "
+            "are needed; learn it anew with --reference"
         )
     return shown

@@ -11,6 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from flora_common import files
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_lab.diagnose import chance, clocks, emulated, stored_base
 from flora_lab.diagnose.cross_fit import ROUNDS
@@ -116,7 +117,7 @@ def start_from(
     if reference is not None:
         healthy = read_reference(reference, runs)
         check_unseen(held_out, {track.sha256 for track in healthy.tracks})
-        start = _learned(healthy, "the runs of --reference", f"{len(healthy.measured)} reference runs", stage)
+        start = _learned(healthy, "the runs of --reference", counted(len(healthy.measured), "reference run"), stage)
         return replace(start, judged=stored)
     assert simulator is not None
     assert stored is not None
@@ -129,7 +130,7 @@ def start_from(
             )
         known = stored_base.read_known(stored)
         words = ", and extended with ".join(
-            [f"{simulator.name}, learned from {known.base.runs} runs", *(e.effect for e in read.extensions)]
+            [f"{simulator.name}, learned from {counted(known.base.runs, 'run')}", *(e.effect for e in read.extensions)]
         )
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
     if isinstance(judged, CorrectedSimulator):
@@ -143,9 +144,8 @@ def start_from(
             "folder of healthy runs"
         )
     told = emulated.reference_of(judged, runs)
-    words = (
-        f"{len(told.measured)} runs of {simulator.name} itself: what it is wrong in is judged by its own chance alone"
-    )
+    runs_of_it = counted(len(told.measured), "run")
+    words = f"{runs_of_it} of {simulator.name} itself: what it is wrong in is judged by its own chance alone"
     start = _learned(told, f"runs simulated by {simulator.name}", words, stage)
     return replace(start, judged=stored)
 

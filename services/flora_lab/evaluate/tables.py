@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
+from flora_common.counted import counted
 from flora_lab.evaluate.evaluation import Evaluation
 from flora_lab.evaluate.gap import MEASURES, REAL_PLANTS, Average, Measure, Row, averages, gaps
-from flora_lab.evaluate.plan import Plan
 from flora_lab.evaluate.trial import TWIN
 
 NOTHING: Final = "-"
@@ -44,9 +44,9 @@ def places_text(one: Evaluation) -> str:
 def place_words(one: Evaluation, place: str) -> str:
     """A place as the heading of its table."""
     if place == TWIN:
-        return f"virtual plants through the whole rig, {_plants(one.plan)}"
+        return f"virtual plants through the whole rig, {counted(one.plan.repeat, 'plant')}"
     return f"simulator {place} ({one.simulators[place].kind}): its typical plant" + (
-        f", and {_plants(one.plan)} that it draws" if one.plan.repeat else ""
+        f", and {counted(one.plan.repeat, 'plant')} that it draws" if one.plan.repeat else ""
     )
 
 
@@ -137,10 +137,6 @@ def scenario_words(row: Row) -> str:
 def percent(value: float | None) -> str:
     """A fitness without the sign, which stands in the notes."""
     return NOTHING if value is None else f"{100 * value:.1f}"
-
-
-def _plants(plan: Plan) -> str:
-    return "1 plant" if plan.repeat == 1 else f"{plan.repeat} plants"
 
 
 def _values(typical: float | None, mean: float | None, worst: float | None, kinds: Sequence[str]) -> list[str]:

@@ -26,6 +26,7 @@ import numpy as np
 
 from flora_common import outputs
 from flora_common.arrays import Array, FloatArray
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.tracks import read_track
 from flora_lab import made_folders
@@ -303,7 +304,8 @@ def _read_history(path: Path, info: EvolutionFile, task: Task) -> History:
         raise BadInput(f"{path}: is damaged ({str(problem)[:80]})") from problem
     shape = (info.runs, info.generations)
     if values.shape != (shape[0] * shape[1], len(header)) or not np.isfinite(values).all():
-        raise BadInput(f"{path}: is not a table of {shape[0]} runs of {shape[1]} generations with finite numbers")
+        table = f"{counted(shape[0], 'run')} of {counted(shape[1], 'generation')}"
+        raise BadInput(f"{path}: is not a table of {table} with finite numbers")
     place = np.arange(len(values))
     if (values[:, 0] != place // shape[1] + 1).any() or (values[:, 1] != place % shape[1]).any():
         raise BadInput(f"{path}: runs and generations are not in order")

@@ -6,6 +6,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from flora_common.counted import counted
 from flora_lab.evolve.evolution_folder import BEST_FILE, EvolutionFile, RunEntry
 from flora_lab.judging import percent
 
@@ -46,7 +47,8 @@ def text(info: EvolutionFile, output: Path) -> str:
     """A few lines for people."""
     best = _best(info)
     lines = [
-        f"task       {info.task}: {info.runs} runs of {info.generations} generations, population {info.population}",
+        f"task       {info.task}: {counted(info.runs, 'run')} of {counted(info.generations, 'generation')}, "
+        f"population {info.population}",
         f"fitness    {percent(median(run.best_fitness for run in info.run))} median over runs, "
         f"{percent(best.best_fitness)} {_word(best)} (run {best.number}, generation {best.generation_of_best})",
     ]
@@ -57,7 +59,7 @@ def text(info: EvolutionFile, output: Path) -> str:
             "without the scenarios that no plant can do"
         )
     if best.held_out_fitness is not None:
-        others = f"{info.individuals.held_out} plants that nothing was evolved on"
+        others = f"{counted(info.individuals.held_out, 'plant')} that nothing was evolved on"
         lines.append(f"           {percent(best.held_out_fitness)} of the best on {others}, the most of all runs")
     name = "episodes"
     for episode in info.episode:

@@ -12,11 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from flora_common.arrays import FloatArray
+from flora_common.counted import counted
 from flora_lab.evolve.evolution_folder import History
 from flora_lab.evolve.task import Task, averages
 from flora_lab.evolve_report.curves import draw_curve, generation_axis, generations
 from flora_lab.evolve_report.functional_box import functional_box
-from flora_lab.evolve_report.words import panel_title, runs_text
+from flora_lab.evolve_report.words import panel_title
 from flora_lab.figure_style import BLUE, COLOURS, GREY, ORANGE, new_figure, png
 
 BOXES: Final = 21
@@ -89,7 +90,9 @@ def scenario_curves(history: History, task: Task) -> bytes:
         style = ("-" if k < len(COLOURS) else "-.") if scenario.is_possible else ":"
         draw_curve(ax, middle[:, k], color=colour, linestyle=style, linewidth=1.5, label=str(k))
     left_out = len(task.scenarios) - MOST_SCENARIOS
-    ax.set_title("median over runs" + (f"; {left_out} more scenarios not drawn" if left_out > 0 else ""), fontsize=10)
+    ax.set_title(
+        "median over runs" + (f"; {counted(left_out, 'more scenario')} not drawn" if left_out > 0 else ""), fontsize=10
+    )
     legend = figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     for text, scenario in zip(legend.get_texts(), shown, strict=True):
         text.set_parse_math(False)
@@ -118,7 +121,7 @@ def _panels(history: History, task: Task) -> list[tuple[str, FloatArray]]:
 
 
 def _title(runs: int) -> str:
-    return runs_text(runs) + (f"; box plots need {FEWEST_RUNS}" if runs < FEWEST_RUNS else "")
+    return counted(runs, "run") + (f"; box plots need {FEWEST_RUNS}" if runs < FEWEST_RUNS else "")
 
 
 def _boxes(ax: Axes, fitness: FloatArray) -> None:

@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 
 from flora_common.controller_file import LoadedController
+from flora_common.counted import counted
 from flora_lab.evolve_report.network_layout import Group, Layout, layout_of
 from flora_lab.figure_style import BLUE, GREY, ORANGE, new_figure, png
 
@@ -49,16 +50,12 @@ def network_figure(loaded: LoadedController) -> bytes:
 
 def _title(layout: Layout) -> str:
     weights = [abs(weight) for _, _, weight in layout.links]
-    text = f"{_count(len(layout.hidden), 'hidden node')}, {_count(len(weights), 'link')}"
+    text = f"{counted(len(layout.hidden), 'hidden node')}, {counted(len(weights), 'link')}"
     if weights:
         text += f", weights up to {max(weights):.1f}"
     return text + (
-        f"; {_count(layout.left_out, 'hidden node')} with smaller weights left out" if layout.left_out else ""
+        f"; {counted(layout.left_out, 'hidden node')} with smaller weights left out" if layout.left_out else ""
     )
-
-
-def _count(number: int, name: str) -> str:
-    return f"{number} {name}" if number == 1 else f"{number} {name}s"
 
 
 def _draw_links(ax: Axes, layout: Layout) -> None:

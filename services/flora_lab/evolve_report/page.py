@@ -6,10 +6,11 @@ from pathlib import Path
 from statistics import median
 
 from flora_common import files
+from flora_common.counted import counted
 from flora_lab import html_page, judging
 from flora_lab.evolve import evolution_folder
 from flora_lab.evolve.evolution_folder import Evolution
-from flora_lab.evolve_report import tables, words
+from flora_lab.evolve_report import tables
 from flora_lab.evolve_report.fitness_figures import FEWEST_RUNS
 from flora_lab.evolve_report.paper_results import BEST_PERCENT
 from flora_lab.evolve_report.pictures import Pictures, draw, write_pictures
@@ -60,8 +61,8 @@ def page(evolution: Evolution, pictures: Pictures) -> str:
 def _lead(evolution: Evolution) -> str:
     info = evolution.info
     return (
-        f"{words.runs_text(info.runs)} of NEAT, {info.generations} generations of {info.population} controllers each, "
-        f"in the simulator {info.simulator.name}."
+        f"{counted(info.runs, 'run')} of NEAT, {counted(info.generations, 'generation')} of "
+        f"{counted(info.population, 'controller')} each, in the simulator {info.simulator.name}."
     )
 
 
@@ -73,10 +74,12 @@ def _headline(evolution: Evolution) -> list[tuple[str, str]]:
     word = "best" if best.held_out_fitness is None else "chosen"
     figures = [
         (judging.percent(best.best_fitness), f"fitness of the {word} controller, run {best.number}"),
-        (judging.percent(middle), f"median over {words.runs_text(len(runs))}"),
+        (judging.percent(middle), f"median over {counted(len(runs), 'run')}"),
     ]
     if best.held_out_fitness is not None:
-        others = f"the chosen one's on {evolution.info.individuals.held_out} plants that nothing was evolved on"
+        others = (
+            f"the chosen one's on {counted(evolution.info.individuals.held_out, 'plant')} that nothing was evolved on"
+        )
         figures.append((judging.percent(best.held_out_fitness), others))
     if not evolution.task.is_possible.all():
         figures.append((judging.percent(best.best_fitness_possible), f"the {word} one, without impossible scenarios"))
@@ -135,7 +138,7 @@ def _best_at_work(evolution: Evolution, pictures: Pictures) -> list[str]:
 
 def _chosen_by(evolution: Evolution) -> str:
     others = evolution.info.individuals.held_out
-    return f" on {others} other plants, which nothing was evolved on" if others else ""
+    return f" on {counted(others, 'other plant')}, which nothing was evolved on" if others else ""
 
 
 def _over_runs(runs: int, pictures: Pictures) -> list[str]:

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from flora_common.counted import counted
 from flora_lab import judging
 from flora_lab.evolve.evolution_folder import EpisodeTrack, Evolution, RunEntry, standing
 from flora_lab.evolve.task import Task
@@ -123,7 +124,7 @@ def _scenario_row(episode: EpisodeTrack, task: Task) -> list[str]:
 def _scenarios_text(task: Task) -> str:
     count = len(task.scenarios)
     impossible = sum(not scenario.is_possible for scenario in task.scenarios)
-    text = f"{count} scenario" if count == 1 else f"{count} scenarios"
+    text = counted(count, "scenario")
     return text + (f", {impossible} of them impossible for any plant" if impossible else "")
 
 

@@ -28,11 +28,6 @@ def hours_of(episode: EpisodeTrack) -> float:
     return float(episode.time_s[-1] - episode.time_s[0]) / 3600.0
 
 
-def runs_text(count: int) -> str:
-    """How many runs."""
-    return "1 run" if count == 1 else f"{count} runs"
-
-
 def panel_title(scenario: Scenario) -> str:
     """A scenario's name over its panel; to be drawn with ``parse_math=False``, as names may hold dollar signs."""
     return drawable(scenario.name, NAME_SIGNS) + ("" if scenario.is_possible else " (impossible)")

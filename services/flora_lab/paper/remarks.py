@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from flora_common.counted import counted
 from flora_common.tracks import Track
 from flora_lab.evolve.task import Task
 from flora_lab.paper.pipeline import SIDES, Side, evolving
@@ -53,8 +54,8 @@ def hours_text(track: Track) -> str:
 def vectors(runs: int) -> str:
     """Of the size of the training set."""
     return (
-        f"From {runs} runs. How long the paper's runs are, and which movements it chose by hand, is not told; counts "
-        "after each step are below."
+        f"From {counted(runs, 'run')}. How long the paper's runs are, and which movements it chose by hand, is not "
+        "told; counts after each step are below."
     )
 
 
@@ -76,7 +77,7 @@ def sizes(results: Results) -> str:
     parts = []
     for side, where in zip(SIDES, ("In the simulator of the paper's recipe", "in ours"), strict=True):
         size = evolving(results.asked.scale, side)
-        plants = f"{size.individuals} drawn plants" if size.individuals else "the typical plant"
+        plants = counted(size.individuals, "drawn plant") if size.individuals else "the typical plant"
         how = f", NEAT with the settings `{size.neat}`" if size.neat else ""
         parts.append(f"{where} {size.population} controllers on {plants}{how}")
     return f"{', '.join(parts)}. The paper does not tell its population."

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, TextColumn
 
 from flora_common.config import at_bus, checked_rig_name, load_rig
 from flora_common.controller_file import SUFFIX, load_controller
+from flora_common.counted import counted
 from flora_common.deliver import NOBODY_AFTER_S, as_json, deliver, outcome, raise_unless_taken
 from flora_common.messages.catalogue import MOST_SHADOW_TICKS
 from flora_common.offering import Sending
@@ -84,9 +85,9 @@ class _Bar:
         if answer.stage == "shadowing":
             left = answer.shadow_ticks_left
             self._shadow_ticks = max(self._shadow_ticks, left)
-            done, total, said = self._shadow_ticks - left, self._shadow_ticks, f"{left} ticks to go"
+            done, total, said = self._shadow_ticks - left, self._shadow_ticks, f"{counted(left, 'tick')} to go"
         else:
-            done, total, said = sending.arrived, offer.chunks, f"{sending.arrived} of {offer.chunks} chunks"
+            done, total, said = sending.arrived, offer.chunks, f"{sending.arrived} of {counted(offer.chunks, 'chunk')}"
         self._bars.update(self._task, description=answer.stage, completed=done, total=total, said=said)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from flora_common.counted import counted
 from flora_lab import html_page
 from flora_lab.report.summary import RunSummary
 
@@ -58,7 +59,7 @@ def page(
 
 def _lead(summary: RunSummary) -> str:
     plant = summary.run.plant or "a plant"
-    return f"Rig {summary.run.rig}, {plant}: {summary.hours:.1f} hours, {len(summary.frames)} photographs."
+    return f"Rig {summary.run.rig}, {plant}: {summary.hours:.1f} hours, {counted(len(summary.frames), 'photograph')}."
 
 
 def _headline(summary: RunSummary) -> list[tuple[str, str]]:

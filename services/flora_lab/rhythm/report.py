@@ -52,7 +52,8 @@ def text(judged: Sequence[Rhythm]) -> str:
         chance = LEVEL * len(judged)
         claimed = sum(r.swings for r in judged)
         parts.append(
-            f"{claimed} of {len(judged)} tracks swing; noise alone would be called so in {chance:.2g} of them\n"
+            f"{claimed} of {len(judged)} tracks {'swings' if claimed == 1 else 'swing'}; "
+            f"noise alone would be called so in {chance:.2g} of them\n"
         )
     return "".join(parts)
 

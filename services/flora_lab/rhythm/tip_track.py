@@ -19,6 +19,7 @@ import numpy as np
 
 from flora_common import files
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.suggest import clipped
 from flora_common.tables import finite_number, is_missing, later_time, read_csv, read_header
@@ -182,7 +183,9 @@ def _even(
     seen = np.isfinite(tips[:, 0])
     at, tips = at[seen], tips[seen]
     if len(at) < LEAST_SAMPLES:
-        raise BadInput(f"{path}: holds {len(at)} places of the tip; a search for cycles needs {LEAST_SAMPLES}")
+        raise BadInput(
+            f"{path}: holds {counted(len(at), 'place')} of the tip; a search for cycles needs {LEAST_SAMPLES}"
+        )
     step = float(np.median(np.diff(at)))
     count = round((at[-1] - at[0]) / step) + 1
     if count > 20 * len(at):

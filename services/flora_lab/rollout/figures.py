@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from flora_common.arrays import FloatArray
+from flora_common.counted import counted
 from flora_lab.figure_style import BLUE, COLOURS, GREY, GRID, ORANGE, new_figure, png
 from flora_lab.rollout.free_running import NO_START, FreeRun, Judged
 from flora_lab.rollout.intervals import FEWEST_PLANTS, LEVEL, by_plant, median
@@ -62,7 +63,7 @@ def errors_over_time(entries: Sequence[Entry], summary: Summary) -> bytes:
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
     plants = summary.plants
     band = "" if plants < FEWEST_PLANTS else f"; bands: {100 * LEVEL:.0f} % intervals over plants"
-    figure.suptitle(f"{len(summary.runs)} runs of {plants} plants{band}", fontsize=10)
+    figure.suptitle(f"{counted(len(summary.runs), 'run')} of {counted(plants, 'plant')}{band}", fontsize=10)
     return png(figure)
 
 

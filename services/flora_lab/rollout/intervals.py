@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from flora_common.arrays import Array, FloatArray
+from flora_common.counted import counted
 
 LEVEL: Final = 0.95
 RESAMPLES: Final = 4000
@@ -117,10 +118,9 @@ def resampled(plants: int, seed: int, times: int = RESAMPLES) -> Array:
 def how_sure(plants: int) -> str:
     """A sentence on what the intervals are worth."""
     if plants < FEWEST_PLANTS:
-        word = "plant" if plants == 1 else "plants"
         return (
-            f"{plants} {word}: no intervals, for the differences between plants cannot be told from fewer than "
-            f"{FEWEST_PLANTS}"
+            f"{counted(plants, 'plant')}: no intervals, for the differences between plants cannot be told from fewer "
+            f"than {FEWEST_PLANTS}"
         )
     sentence = f"{plants} plants; in brackets {100 * LEVEL:.0f} % intervals, by resampling plants"
     if plants < ENOUGH_PLANTS:

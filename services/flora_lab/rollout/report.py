@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from flora_common.counted import counted
 from flora_lab.rollout.intervals import Estimate, how_sure
 from flora_lab.rollout.predictors import GoesOn, NothingMoves
 from flora_lab.rollout.summary import END, MEASURES, Measure, Place, Start, Summary
@@ -59,7 +60,7 @@ def text(summary: Summary) -> str:
 def notes(summary: Summary) -> list[str]:
     """What a reader of the numbers must know, a sentence each."""
     runs = len(summary.runs)
-    found = [f"{runs} run{'s' if runs > 1 else ''} of {how_sure(summary.plants)}."]
+    found = [f"{counted(runs, 'run')} of {how_sure(summary.plants)}."]
     longest_h = max(run.hours for run in summary.runs)
     if "watched" not in _told(summary):
         found.append(
@@ -75,7 +76,7 @@ def notes(summary: Summary) -> list[str]:
         if len(left):
             found.append(
                 f"{name}, running free from the first stem, left the data that it was made from in {len(left)} of "
-                f"{runs} runs, first after {left.min():.1f} h; what it says then is a guess."
+                f"{counted(runs, 'run')}, first after {left.min():.1f} h; what it says then is a guess."
             )
     for name, apart in summary.parting_mm.items():
         if np.isfinite(apart).any():

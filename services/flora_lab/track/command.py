@@ -12,6 +12,7 @@ import msgspec
 import typer
 
 from flora_common import files, outputs
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.runs import CameraSection
 from flora_common.vision.lamp_states import EmptySetup
@@ -131,7 +132,7 @@ def track(
     ):
         resumed = len(part.readings)
         if resumed and not silent:
-            print(f"going on after {resumed} of {count} frames, from {part.path}", file=sys.stderr)
+            print(f"going on after {resumed} of {counted(count, 'frame')}, from {part.path}", file=sys.stderr)
         looks = learning.needs_a_look(source, rule, path=path)
         looked = stage("lamp states", count) if looks else lambda: None
         lamps = learning.sort_frames(source, span, rule, pool, path=path, on_frame=looked)
@@ -161,7 +162,7 @@ def _kept_told(part: PartFile, count: int, *, silent: bool) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, SystemExit):
         if part.readings and not silent:
-            kept = f"{len(part.readings)} of {count} frames are kept in {part.path}"
+            kept = f"{len(part.readings)} of {counted(count, 'frame')} are kept in {part.path}"
             print(f"{kept}; the same command goes on from there", file=sys.stderr)
         raise
 
@@ -201,7 +202,7 @@ def _summed(source: RunSource | FolderSource | FilmSource, part: PartFile) -> Su
         part.remove()  # the same work would come to the same end
         first = f"; the first: {summary.bad[0]}" if summary.bad else ""
         raise BadInput(
-            f"{source.name}: no stem in any of {summary.frames} frames ({summary.outcome_words()}){first}; "
+            f"{source.name}: no stem in any of {counted(summary.frames, 'frame')} ({summary.outcome_words()}){first}; "
             "nothing was written; see --anchor, --window and --overlays"
         )
     return summary

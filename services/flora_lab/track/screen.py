@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from flora_common.counted import counted
 from flora_lab.bars import Bars
 from flora_lab.track.learning import Learnt, Sorted
 from flora_lab.track.pictures import Wanted
@@ -78,14 +79,14 @@ class Outcome:
         s = self.summary
         lights = ", ".join(f"{name} {count}" for name, count in s.lights.items())
         pictures, states = self.learnt.pictures, self.learnt.states
-        told_apart = f"{states} lamp state{'s' if states > 1 else ''}"
+        told_apart = counted(states, "lamp state")
         if self.learnt.made_by == "background":
-            setup = f"from {pictures} background picture{'s' if pictures > 1 else ''}"
+            setup = f"from {counted(pictures, 'background picture')}"
             setup += f", {told_apart}" if self.method == "path" else ""
         else:
             setup = f"learnt from {pictures} of the frames, {told_apart}, for there are no background pictures"
         return [
-            f"{s.frames} frames, {s.readings} readings: {s.outcome_words()}",
+            f"{counted(s.frames, 'frame')}, {counted(s.readings, 'reading')}: {s.outcome_words()}",
             f"mean quality {s.mean_quality:.2f}" + (f"; {s.folded} folded" if s.folded else ""),
             f"light {lights}{_LIGHTS_FROM[self.frames.lights_from]}",
             f"empty setup: {setup}",

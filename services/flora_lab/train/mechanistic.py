@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from flora_common.arrays import Array
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.run_tracks import RunTrack
@@ -143,6 +144,6 @@ def _table(found: Population, known: Known) -> list[str]:
     residuals = [f"{10.0 * _size([fit]):.1f}" for fit in found.plants]
     lines.append(f"free-run residual of each run with its own constants, mm: {', '.join(residuals)}")
     if len(found.plants) < FEWEST_PLANTS:
-        runs = f"{len(found.plants)} run{'s' if len(found.plants) > 1 else ''}"
+        runs = counted(len(found.plants), "run")
         lines.append(f"{runs}: too few to tell how plants differ; that is mostly what the sources say")
     return lines

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array, BoolArray
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.drives import DriveNoise
@@ -161,7 +162,7 @@ def _medians(horizons: Sequence[str], values: Array) -> dict[str, float]:
 
 
 def _table(judged: HeldOut, noise: DriveNoise, epochs: int, best: Sequence[int]) -> list[str]:
-    lines = [f"{epochs} epochs; kept of each member: {', '.join(map(str, best))}"]
+    lines = [f"{counted(epochs, 'epoch')}; kept of each member: {', '.join(map(str, best))}"]
     tip, still = _medians(judged.horizons, judged.tip_mm), _medians(judged.horizons, judged.still_mm)
     if tip:
         lines.append("free run from the first stem, by members that never saw the plant; median error of the tip, mm")

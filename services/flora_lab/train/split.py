@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flora_common.arrays import IntArray
+from flora_common.counted import counted
 from flora_common.errors import BadInput
 
 PARTS: Final = ("train", "validate", "test")
@@ -63,7 +64,7 @@ def split(plants: npt.NDArray[np.str_], by: SplitName, rng: np.random.Generator,
 def _by_rows(plants: npt.NDArray[np.str_], rng: np.random.Generator, where: str) -> Split:
     count = len(plants)
     if count < 10:
-        raise BadInput(f"{where}: {count} vectors; at least 10 are needed to split them 70/20/10")
+        raise BadInput(f"{where}: {counted(count, 'vector')}; at least 10 are needed to split them 70/20/10")
     order = rng.permutation(count)
     first = round(SHARES[0] * count)
     second = first + round(SHARES[1] * count)
@@ -76,7 +77,7 @@ def _by_plant(plants: npt.NDArray[np.str_], rng: np.random.Generator, where: str
     names = np.unique(plants)
     count = len(names)
     if count < 3:
-        raise BadInput(f"{where}: {count} plant{'s' if count > 1 else ''}; a split by plant needs at least 3")
+        raise BadInput(f"{where}: {counted(count, 'plant')}; a split by plant needs at least 3")
     shuffled = names[rng.permutation(count)]
     test = max(1, round(SHARES[2] * count))
     validate = max(1, round(SHARES[1] * count))

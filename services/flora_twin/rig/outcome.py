@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from flora_common.counted import counted
 from flora_common.installed import command
 from flora_twin.rig.integrity import Integrity
 from flora_twin.rig.layout import Layout
@@ -100,7 +101,8 @@ def tell(console: Console, out: Path, figures: dict[str, Any], outcome: Outcome)
         (
             "pictures",
             f"{integrity.announced} announced, {integrity.missing} missing, {integrity.torn} torn, "
-            f"{integrity.announced - integrity.not_stored} at the NAS; {_ticks(len(outcome.seen.missed))} without one",
+            f"{integrity.announced - integrity.not_stored} at the NAS; "
+            f"{counted(len(outcome.seen.missed), 'tick')} without one",
         )
     )
     lines.append(("stems", ", ".join(f"{count} {name}" for name, count in sorted(outcome.seen.outcomes.items()))))
@@ -112,7 +114,3 @@ def tell(console: Console, out: Path, figures: dict[str, Any], outcome: Outcome)
     lines.append(("look at", f"{out / 'report.html'}  and  {out / 'strip.png'}"))
     for name, value in lines:
         console.print(f"{name:<10} {value}")
-
-
-def _ticks(count: int) -> str:
-    return "1 tick" if count == 1 else f"{count} ticks"
