@@ -81,6 +81,25 @@ def test_several_tracks_are_counted_against_chance(tmp_path: Path, capsys: pytes
     assert capsys.readouterr().out == ""
 
 
+def test_tracks_of_one_file_name_are_told_apart_by_their_folders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [tmp_path / "may" / "box1", tmp_path / "june" / "box1", tmp_path / "june" / "box2"]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    paths = [str(table(folder / "tip.csv")) for folder in folders]
+    alone = str(table(tmp_path / "stalk.csv"))
+    assert main(["rhythm", *paths, alone]) == 0
+    headings = [line for line in capsys.readouterr().out.splitlines()[:-1] if not line.startswith(" ")]
+    assert headings == ["may/box1/tip.csv", "june/box1/tip.csv", "box2/tip.csv", "stalk"]
+    assert [track["name"] for track in json.loads(_json_of(capsys, *paths))["tracks"]] == headings[:3]
+
+
+def _json_of(capsys: pytest.CaptureFixture[str], *paths: str) -> str:
+    assert main(["rhythm", *paths, "--json"]) == 0
+    return capsys.readouterr().out
+
+
 def test_a_track_of_this_project_is_read_by_its_tip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(2)
     x = swing(rng, STEPS, PERIOD, 1.0, 0.0) + 0.05 * rng.standard_normal(STEPS)

@@ -57,7 +57,8 @@ def rhythm(
     """
     if output is not None:
         must_be_new(output)
-    read = [_module("tip_track").read_tip(path, step_s=step_s, px_per_cm=px_per_cm) for path in tracks]
+    tip_track = _module("tip_track")
+    read = tip_track.told_apart([tip_track.read_tip(path, step_s=step_s, px_per_cm=px_per_cm) for path in tracks])
     judgement, report = _module("judgement"), _module("report")
     judged = [judgement.judge(track, along=along.value, seed=seed) for track in read]
     if output is not None:

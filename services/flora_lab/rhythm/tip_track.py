@@ -11,7 +11,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import os
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -111,6 +114,28 @@ def read_tip(path: Path, *, step_s: float | None = None, px_per_cm: float | None
         unit="px" if is_in_px and not px_per_cm else "cm",
         is_scale_doubtful=names is PLANT_TRACER,
     )
+
+
+def told_apart(tracks: Sequence[TipTrack]) -> list[TipTrack]:
+    """The tracks, where several have one name by as much of their files' paths, from the end, as tells them apart."""
+    names = Counter(track.name for track in tracks)
+    files_of = {name: {_parts(track.file) for track in tracks if track.name == name} for name in names}
+    return [
+        replace(track, name=_tail(_parts(track.file), files_of[track.name])) if names[track.name] > 1 else track
+        for track in tracks
+    ]
+
+
+def _parts(path: Path) -> tuple[str, ...]:
+    return Path(os.path.abspath(path)).parts  # noqa: PTH100 - links as they were given, but no `..`
+
+
+def _tail(own: tuple[str, ...], all_parts: Collection[tuple[str, ...]]) -> str:
+    """As many of a path's last parts as no other path has; the whole path where it is the only one."""
+    for count in range(1, len(own)):
+        if sum(parts[-count:] == own[-count:] for parts in all_parts) == 1 < len(all_parts):
+            return files.shown(Path(*own[-count:]))
+    return files.shown(Path(*own))
 
 
 def _header(path: Path) -> list[str] | None:
