@@ -101,6 +101,25 @@ def test_gaps_are_empty_rows_and_lamps_are_taken_to_change_in_their_middle() -> 
     assert run.time_s.tolist() == (STEP_S * np.arange(9)).tolist()
 
 
+def test_rows_without_a_stem_tell_what_shone_in_a_gap() -> None:
+    run = a_run([0, 300, 1200, 1500, 3000], ["dark", "left", "left", "left", "left"])
+    alone: list[tuple[float, Light]] = [
+        (-300.0, "both"), (10.0, "both"), (600.0, "right"), (890.0, "dark"), (1190.0, "both"), (2400.0, "right"),
+        (2500.0, "both"), (3300.0, "both"),
+    ]  # fmt: skip
+    run = replace(run, track=replace(run.track, lamps_alone=tuple(alone)))
+    steps = in_steps(run)
+    assert rows_of(steps) == [0, 1, None, None, 2, 3, None, None, None, None, 4]
+    assert lamps_of(steps) == ["left", "right", "dark", "left", "left", "left", "right", "right", "right", "left"]
+    assert [(gap.start, gap.stop) for gap in steps.unseen] == [(5, 7), (8, 9)]
+
+
+def test_rows_whose_points_are_all_in_one_place_tell_their_lamp() -> None:
+    run = a_run([0, 300, 600, 900], ["dark", "left", "right", "left"])
+    run.track.points_cm[2] = 0.0
+    assert lamps_of(in_steps(run)) == ["left", "right", "left"]
+
+
 def test_a_gap_after_the_first_row_is_lit_as_the_row_after_it_tells() -> None:
     """The first row's lamp shone before the run."""
     run = in_steps(a_run([0, 900, 1200], ["dark", "left", "right"]))

@@ -75,10 +75,16 @@ def test_a_track_is_read_however_another_program_writes_it(tmp_path: Path, text:
 
 
 @pytest.mark.parametrize("nothing", ["", " ", "NaN", "nan", "NA"])
-def test_a_row_without_a_stem_is_left_out(tmp_path: Path, nothing: str) -> None:
+def test_a_row_without_a_stem_tells_its_lamp_alone(tmp_path: Path, nothing: str) -> None:
     path = tmp_path / "track.csv"
-    path.write_text(table([ROWS[0], [*ROWS[1][:2], "0", "0", *[nothing] * 18], ROWS[2]]))
-    assert read_track(path).time_s.tolist() == [0.0, 600.0]
+    no_lamp = ["450", nothing, *[nothing] * 20]
+    path.write_text(table([ROWS[0], [*ROWS[1][:2], "0", "0", *[nothing] * 18], no_lamp, ROWS[2]]))
+    track = read_track(path)
+    assert track.time_s.tolist() == [0.0, 600.0]
+    assert track.light == ("dark", "right")
+    assert track.lamps_alone == ((300.0, "left"),)
+    assert track.lamp_course()[0].tolist() == [0.0, 300.0, 600.0]
+    assert track.lamp_course()[1] == ("dark", "left", "right")
 
 
 def test_what_was_not_measured_besides_the_stem_is_not_known_and_remarks_are_passed_over(tmp_path: Path) -> None:

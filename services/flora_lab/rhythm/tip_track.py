@@ -156,7 +156,8 @@ def _refuse(path: Path, value: float | None, option: str, why: str) -> None:
 def _own(run: RunTrack) -> TipTrack:
     run.check_points()
     track = run.track
-    sides = np.array([{"left": -1.0, "right": 1.0}.get(light, 0.0) for light in track.light])
+    lit_s, lights = track.lamp_course()
+    sides = np.array([{"left": -1.0, "right": 1.0}.get(light, 0.0) for light in lights])
     return _even(
         run.name,
         run.file,
@@ -165,7 +166,7 @@ def _own(run: RunTrack) -> TipTrack:
         time_unit="h",
         unit="cm",
         is_scale_doubtful=False,
-        sides=sides if np.ptp(sides) > 0.0 else None,
+        sides=(lit_s / 3600.0, sides) if np.ptp(sides) > 0.0 else None,
     )
 
 
@@ -203,7 +204,7 @@ def _even(
     time_unit: str,
     unit: str,
     is_scale_doubtful: bool,
-    sides: Array | None = None,
+    sides: tuple[Array, Array] | None = None,
 ) -> TipTrack:
     seen = np.isfinite(tips[:, 0])
     at, tips = at[seen], tips[seen]
@@ -220,7 +221,7 @@ def _even(
     known = np.minimum(np.abs(grid - at[after - 1]), np.abs(at[after] - grid)) < _NEAR_STEPS * step
     _check_gaps(path, known)
     x, y = (np.interp(grid, at, tips[:, axis]) for axis in (0, 1))
-    right = None if sides is None else np.interp(grid, at, sides[seen])
+    right = None if sides is None else np.interp(grid, *sides)
     block = math.ceil(count / MOST_SAMPLES)
     whole = count - count % block
 

@@ -13,6 +13,7 @@ from flora_common.errors import BadInput
 from flora_common.geometry import polyline_length
 from flora_common.runs import LEVELS, LampsSection
 from flora_common.shapes import STEM_POINTS
+from flora_common.tracks import Track
 from flora_lab.run_tracks import RunTrack
 
 STEP_S: Final = 300.0
@@ -111,8 +112,8 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
 
     ``light`` of a track's row shone before it. Over a gap the row after it tells what shone last; where that is
     another lamp than before the gap, it is taken to have changed in the middle. What the first row tells shone before
-    the run, and is used nowhere. Rows that lie near no place of the grid are left out, and rows whose points are all in
-    one place.
+    the run, and is used nowhere. Rows that lie near no place of the grid are left out; of rows without a stem, or whose
+    points are all in one place, the lamp alone is used.
 
     Raises:
         BadInput: fewer than two stems, points that no stem has, stems upside down, a first stem without length, or no
@@ -139,12 +140,12 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
     count = int(at[-1]) + 1
     points = np.full((count, STEM_POINTS, 2), np.nan)
     points[at] = track.points_cm[rows]
-    own = np.array([LEVELS[light] for light in track.light])[rows]
+    told, own = _lamps_told(track, step_s, dict(zip(at.tolist(), rows.tolist(), strict=True)))
     own[0] = own[1]  # what shone before the run says nothing of a gap after its first row
-    next_row = np.searchsorted(at, np.arange(1, count))  # the row at or after each step's end
+    next_row = np.searchsorted(told, np.arange(1, count))  # the row at or after each step's end
     light = own[next_row]
-    gaps = np.flatnonzero(np.diff(at) > 1)
-    unseen = tuple(UnseenLight(int(at[k]), int(at[k + 1]) - 1, own[k], own[k + 1]) for k in gaps)
+    gaps = np.flatnonzero(np.diff(told) > 1)
+    unseen = tuple(UnseenLight(int(told[k]), int(told[k + 1]) - 1, own[k], own[k + 1]) for k in gaps)
     for gap in unseen:
         light[gap.start : (gap.start + gap.stop + 1) // 2] = gap.before
     covariates = {}
@@ -164,6 +165,31 @@ def in_steps(run: RunTrack, step_s: float = STEP_S) -> MeasuredRun:
         run.lamps,
         unseen,
     )
+
+
+def _lamps_told(track: Track, step_s: float, rows: Mapping[int, int]) -> tuple[IntArray, FloatArray]:
+    """Of which places of the grid it is told what shone before them, from the first stem used to the last.
+
+    Args:
+        track: the run.
+        step_s: from one place to the next.
+        rows: place to the row of the track that is used there for its stem, in order.
+
+    Returns:
+        The places, shape (n,), and the lamps' levels, shape (n, 2).
+    """
+    course_s, lamps = track.lamp_course()
+    place = (course_s - track.time_s[0]) / step_s
+    index = np.rint(place).astype(np.int64)
+    nearest: dict[int, int] = {}
+    for k in np.argsort(np.abs(place - index), kind="stable").tolist():
+        if abs(place[k] - index[k]) <= NEAR_SHARE:
+            nearest.setdefault(int(index[k]), k)
+    last = max(rows)
+    levels = {at: LEVELS[lamps[k]] for at, k in nearest.items() if 0 <= at <= last}
+    levels |= {at: LEVELS[track.light[row]] for at, row in rows.items()}  # its own row tells what a stem stands in
+    told = sorted(levels)
+    return np.array(told), np.array([levels[at] for at in told])
 
 
 @dataclass(frozen=True, slots=True)
