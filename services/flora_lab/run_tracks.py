@@ -13,7 +13,7 @@ from flora_common import files
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection, RunFolder
 from flora_common.tables import read_header
-from flora_common.tracks import Track, read_track
+from flora_common.tracks import Track, read_track, unit_of_stems
 from flora_lab.asides import aside
 
 ANCHOR_TOLERANCE_CM: Final = 0.01
@@ -71,7 +71,7 @@ class RunTrack:
         if far.any():
             raise BadInput(
                 f"{self.where(int(np.argmax(far)))}: a point is more than {FARTHEST_CM:g} cm from the anchor, where no "
-                "bean of the box comes; points are in cm, not in mm or px"
+                "bean of the box comes; points are in cm, not in mm or px, unless their columns are called x1_mm"
             )
 
 
@@ -112,8 +112,9 @@ def _check_whole_stems(path: Path) -> None:
     Raises:
         BadInput: it has the tip alone.
     """
-    columns = {name.casefold() for name in read_header(path)}
-    if columns & _OF_A_TIP and not columns & {"light", "x10"}:
+    header = read_header(path)
+    columns = {name.casefold() for name in header}
+    if columns & _OF_A_TIP and "light" not in columns and unit_of_stems(header) is None:
         raise BadInput(
             f"{path}: a track of the tip alone; whole stems and lamps are needed here (time_s,light,x1,y1,…,x10,y10). "
             "`flora-lab rhythm` looks for swings in such a track"

@@ -87,6 +87,50 @@ def test_a_row_without_a_stem_tells_its_lamp_alone(tmp_path: Path, nothing: str)
     assert track.lamp_course()[1] == ("dark", "left", "right")
 
 
+def in_unit(per_cm: float, mark: str, *, scale: str = "") -> str:
+    rows = [[*row[:2], *(f"{per_cm * float(field):.6f}" for field in row[2:])] for row in ROWS]
+    names = [*NAMES[:2], *(name + mark for name in NAMES[2:])]
+    if scale:
+        rows, names = [[*row, scale] for row in rows], [*names, "px_per_cm"]
+    return table(rows, names=names)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(in_unit(10.0, "_mm"), id="mm"),
+        pytest.param(in_unit(10.0, " (mm)").replace("x1", "X1"), id="mm-in-brackets"),
+        pytest.param(in_unit(1.0, "_cm"), id="cm"),
+        pytest.param(in_unit(18.4, "_px", scale="18.4"), id="px-with-their-scale"),
+    ],
+)
+def test_stems_in_other_units_become_cm(tmp_path: Path, text: str) -> None:
+    plain, other = tmp_path / "plain.csv", tmp_path / "other.csv"
+    plain.write_text(table(ROWS))
+    other.write_text(text)
+    track = read_track(other)
+    np.testing.assert_allclose(track.points_cm, read_track(plain).points_cm, rtol=0.0, atol=1e-6)
+    assert track.covariates == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (in_unit(18.4, "_px"), "points are in px, of which nobody knows how long they are; add a column `px_per_cm`"),
+        (in_unit(18.4, "_px", scale="0"), "line 2: px_per_cm is 0, it must be above 0"),
+        (in_unit(10.0, "_mm").replace("5.000000", "9e6", 1), "line 2: y1_mm is 9e+06, beyond 5000; y1_mm is in mm"),
+        (in_unit(10.0, "_mm").replace("y3_mm", "y3"), "no column `y3_mm`; did you mean `y"),
+    ],
+)
+def test_stems_whose_unit_cannot_be_taken_are_told_with_what_to_do(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "track.csv"
+    path.write_text(text)
+    with pytest.raises(BadRunFolder) as caught:
+        read_track(path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_what_was_not_measured_besides_the_stem_is_not_known_and_remarks_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "track.csv"
     further = (("21.5", ""), ("", "pot moved"), ("NaN", "NaN"))

@@ -26,6 +26,7 @@ from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.suggest import clipped
 from flora_common.tables import finite_number, is_missing, later_time, read_csv, read_header
+from flora_common.tracks import unit_of_stems
 from flora_lab.rhythm.lattice import LEAST_SAMPLES
 from flora_lab.run_tracks import RunTrack, check_regular, load_run
 
@@ -87,7 +88,7 @@ def read_tip(path: Path, *, step_s: float | None = None, px_per_cm: float | None
     """
     header = _header(path)
     columns = {name.casefold() for name in header or ()}
-    if header is None or {"light", "x10"} <= columns:
+    if header is None or ("light" in columns and unit_of_stems(header)):
         _refuse(path, step_s, "--step-s", "has times of its own")
         _refuse(path, px_per_cm, "--px-per-cm", "is in cm already")
         return _own(load_run(path))
