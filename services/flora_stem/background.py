@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -49,6 +50,10 @@ class Background:
         self._reduction: Reduction = section.reduction(camera)
         self._cache = cache
         self._seen: list[tuple[str, int, int]] | None = None
+        self._folder_trouble = ""
+        self._picture_trouble = ""
+        self._learns = True
+        """There are no pictures that can be used, so that the frames must do."""
         self._learner = _Learner(run, camera, section)
         self.finder: Finder | None = None
         self.reason = ""
@@ -56,10 +61,22 @@ class Background:
         self.made_by = ""
         self.from_cache = False
 
+    @property
+    def unreadable(self) -> str:
+        """What of the pictures the disk does not give out, in one sentence; empty where it gives out all."""
+        return self._folder_trouble or self._picture_trouble
+
     def refresh(self) -> bool:
-        """Look at the folder; True where the empty setup, or its lack, is new."""
+        """Look at the folder; True where the empty setup, or its lack, is new.
+
+        Pictures that the disk does not give out are as good as none. Where the folder is one day not to be read, what
+        was made from it before still holds.
+        """
+        listed = self._listed()
+        if self._folder_trouble and self._seen:
+            return False
         paths, seen = [], []
-        for path in self._run.background_pictures():
+        for path in listed:
             try:
                 status = path.stat()
             except OSError:
@@ -67,17 +84,17 @@ class Background:
             paths.append(path)
             seen.append((path.name, status.st_size, status.st_mtime_ns))
         if seen == self._seen:
-            return not paths and self._learnt()
+            return self._learns and self._learnt()
         is_first = self._seen is None
         self._seen = seen
         self.finder, self.reason, self.pictures, self.made_by, self.from_cache = None, "", 0, "", False
+        self._picture_trouble = ""
         if paths:
-            try:
-                self.finder = self._made(paths)
-                self.pictures, self.made_by = len(paths), "background"
-            except BadInput as problem:
-                self.reason = str(problem)
-        elif is_first and self._method == "path":
+            self._use(paths)
+        self._learns = not paths or bool(self._picture_trouble)
+        if not self._learns:
+            return True
+        if is_first and self._method == "path":
             self._learner.look_back()
         else:
             self._learnt()
@@ -85,10 +102,28 @@ class Background:
 
     def saw(self, frame: Frame) -> None:
         """A frame of the run came: one more to learn from where there are no background pictures."""
-        if self._method == "path" and not self._seen:
+        if self._method == "path" and self._learns:
             self._learner.saw(frame)
             if self.finder is None:
                 self.reason = self._learner.waiting_for
+
+    def _listed(self) -> list[Path]:
+        self._folder_trouble = ""
+        try:
+            return self._run.background_pictures()
+        except OSError as problem:
+            self._folder_trouble = f"{self._run.background}: cannot be read ({problem.strerror}); check its disk"
+            return []
+
+    def _use(self, paths: list[Path]) -> None:
+        try:
+            self.finder = self._made(paths)
+            self.pictures, self.made_by = len(paths), "background"
+        except BadInput as problem:
+            if self._method == "path" and isinstance(problem.__cause__, OSError):  # no fault of the picture
+                self._picture_trouble = f"{problem}; check its disk"
+            else:
+                self.reason = str(problem)
 
     def _learnt(self) -> bool:
         try:
@@ -145,7 +180,7 @@ class _Learner:
         """Take the frames of before this start that are still on the disk."""
         with contextlib.suppress(BadRunFolder):  # no table yet, or flora-capture has to mend its end
             for row in self._run.read_frames():
-                if (self._run.path / row.file).is_file():
+                if os.path.isfile(self._run.path / row.file):  # noqa: PTH113 - False where a disk does not say
                     self._frames[row.light][row.file] = None
         self._go_on()
 

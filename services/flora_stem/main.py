@@ -100,7 +100,7 @@ def build(app: App[StemSection]) -> None:
                 from_cache=background.from_cache,
                 reason=core.why_not,
             )
-        app.trouble("background", core.why_not)
+        app.trouble("background", "; ".join(filter(None, (background.unreadable, core.why_not))))
 
     def say(answer: Answer | None) -> None:
         if answer is None:

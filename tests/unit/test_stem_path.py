@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +14,7 @@ import pytest
 from stem_fakes import CAMERA, Box, jpeg
 
 from flora_common.messages import Stem
-from flora_common.runs import CameraSection, RunFile
+from flora_common.runs import CameraSection, RunFile, RunFolder
 from flora_common.tracks import read_track
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.picture import Picture
@@ -159,6 +162,53 @@ def test_without_background_pictures_the_setup_is_learnt_from_the_frames(tmp_pat
     stem = answer(box, LEARN_AT[0] + 1, plant(-4.8, 11.4, 50, leaves=False))
     assert stem.outcome == "ok"
     assert np.hypot(stem.points_cm[-1][0] + 4.8, stem.points_cm[-1][1] - 11.4) < 0.4
+
+
+@pytest.mark.parametrize("what", ["folder", "list of names", "picture"])
+def test_where_the_disk_does_not_give_out_background_pictures_the_frames_must_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    box = PathBox(tmp_path)
+    calibrated(box)
+    call = {"folder": "stat", "list of names": "scandir", "picture": "open"}[what]
+    bad_paths = {"folder": box.run.background, "list of names": box.run.background}
+    bad_path, real = bad_paths.get(what, box.run.background / "left-1.jpg"), getattr(os, call)
+
+    def bad(path: Any = ".", *arguments: Any, **keywords: Any) -> Any:
+        if isinstance(path, str | Path) and Path(path) == bad_path:
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        return real(path, *arguments, **keywords)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, bad)
+        for tick in range(1, LEARN_AT[0] + 1):
+            frame = box.frame(tick, jpeg(plant(4.0 - 0.7 * tick, 10.0 + 0.1 * tick, tick, leaves=False)))
+            box.run.append_frame(frame.path, frame.time_s, frame.light)
+        box.start()
+        assert box.background.unreadable == f"{bad_path}: cannot be read (Input/output error); check its disk"
+        wait_until_learnt(box)
+        assert (box.background.made_by, box.background.pictures) == ("frames", LEARN_AT[0])
+        assert box.background.unreadable
+    if what != "picture":
+        box.look()
+        assert (box.background.made_by, box.background.unreadable) == ("background", "")
+
+
+def test_what_was_made_from_background_pictures_holds_when_the_disk_gives_them_out_no_more(
+    box: PathBox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibrated(box)
+
+    def bad(self: RunFolder) -> list[Path]:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "background_pictures", bad)
+        assert not box.background.refresh()
+        assert "cannot be read (Input/output error)" in box.background.unreadable
+    assert (box.background.made_by, box.background.pictures) == ("background", 3)
+    assert not box.background.refresh()
+    assert box.background.unreadable == ""
 
 
 def test_a_start_in_the_middle_of_a_run_learns_from_the_frames_that_are_there(tmp_path: Path) -> None:
