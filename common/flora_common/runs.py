@@ -13,7 +13,7 @@ import csv
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -25,7 +25,7 @@ from flora_common.errors import BadRunFolder, StoreError
 from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
-from flora_common.tables import finite_number, later_time, read_csv
+from flora_common.tables import finite_number, is_missing, later_time, read_csv
 from flora_common.toml_strict import convert, read_toml, to_toml
 
 Light = Literal["left", "right", "dark", "both"]
@@ -107,11 +107,19 @@ class RunFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class FrameRow:
-    """One line of ``frames.csv``; ``covariates`` are the further numeric columns."""
+    """One line of ``frames.csv``.
+
+    Attributes:
+        file: the photograph, inside the run folder.
+        time_s: since the run's start.
+        light: the lamp; where the line does not tell it that of the line before, and of the first ones that of the
+            first line that does. None where no line tells.
+        covariates: the further numeric columns; without those that are empty in this line.
+    """
 
     file: str
     time_s: float
-    light: Light
+    light: Light | None
     covariates: dict[str, float]
 
 
@@ -204,7 +212,13 @@ class RunFolder:
             raise BadRunFolder(f"{self.frames_log}: cannot be read ({problem.strerror})") from problem
 
     def read_frames(self) -> list[FrameRow]:
-        """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights."""
+        """``frames.csv``, checked: files inside the folder, finite and increasing times, known lights.
+
+        File and time must be told in each line; a lamp or a covariate that is empty there was not noted.
+
+        Raises:
+            BadRunFolder: it cannot be read, or holds something else.
+        """
         rows: list[FrameRow] = []
         times: list[float] = []
         for line, row in read_csv(self.frames_csv, FRAMES_HEADER.split(",")):
@@ -219,9 +233,12 @@ class RunFolder:
                 )
             time_s = later_time(row.pop("time_s"), times, where)
             times.append(time_s)
-            light = known_light(row.pop("light"), where)
-            rows.append(FrameRow(file, time_s, light, {k: finite_number(v, k, where) for k, v in row.items()}))
-        return rows
+            told = row.pop("light")
+            light = (rows[-1].light if rows else None) if is_missing(told) else known_light(told, where)
+            covariates = {k: finite_number(v, k, where) for k, v in row.items() if not is_missing(v)}
+            rows.append(FrameRow(file, time_s, light, covariates))
+        first = next((row.light for row in rows if row.light is not None), None)
+        return [row if row.light else replace(row, light=first) for row in rows]
 
     def append_frame(self, file: str, time_s: float, light: Light) -> None:
         """Add a line to ``frames.csv``, flushed to the disk."""

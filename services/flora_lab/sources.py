@@ -127,7 +127,8 @@ class RunSource:
         self.name = str(path)
         self.size_px = (self.run.camera.width_px, self.run.camera.height_px)
         self.count = len(self.rows)
-        self.lights: Sequence[Light] | None = [row.light for row in self.rows]
+        lights = [row.light for row in self.rows if row.light is not None]
+        self.lights: Sequence[Light] | None = lights or None
         if not self.rows:
             raise BadInput(f"{self.folder.frames_csv}: lists no frames; nothing to track")
 

@@ -180,7 +180,7 @@ class _Learner:
         """Take the frames of before this start that are still on the disk."""
         with contextlib.suppress(BadRunFolder):  # no table yet, or flora-capture has to mend its end
             for row in self._run.read_frames():
-                if os.path.isfile(self._run.path / row.file):  # noqa: PTH113 - False where a disk does not say
+                if row.light is not None and os.path.isfile(self._run.path / row.file):  # noqa: PTH113 - False where a disk does not say
                     self._frames[row.light][row.file] = None
         self._go_on()
 

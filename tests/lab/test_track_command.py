@@ -282,6 +282,20 @@ def test_covariates_with_commas_and_quotes_in_their_names_come_back(tmp_path: Pa
     assert main(["track", str(run), "-o", str(out), "-q", "--force"]) == 0
 
 
+def test_frames_whose_lamp_or_covariate_was_not_noted_are_tracked_all_the_same(tmp_path: Path) -> None:
+    run, out = make_run(tmp_path / "run", 10), tmp_path / "t.csv"
+    lines = (run / "frames.csv").read_text().splitlines()
+    for number in (1, 6):
+        file, time_s, *_ = lines[number].split(",")
+        lines[number] = f"{file},{time_s},,"
+    (run / "frames.csv").write_text("\n".join(lines) + "\n")
+    assert main(["track", str(run), "-o", str(out), "-q"]) == 0
+    track = read_track(out)
+    assert track.light[0] == lines[2].split(",")[2]
+    assert np.isnan(track.covariates["temperature_c"]).sum() == 2
+    assert track.covariates["temperature_c"][1] == 21.0
+
+
 def test_an_error_midway_leaves_only_what_it_can_go_on_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -153,6 +153,7 @@ def test_a_file_in_place_of_a_run_folder_is_not_said_to_be_missing(tmp_path: Pat
         (b"file,time_s,light\n/etc/passwd,0,left\n", "must be a relative path inside the run folder"),
         (b"file,time_s,light\nframes/../../x.jpg,0,left\n", "must be a relative path inside the run folder"),
         (b"file,time_s,light\n,0,left\n", "file `` must be a relative path"),
+        (b"file,time_s,light\na.jpg,,left\n", "line 2: time_s is empty, where a number is needed"),
         (b"file,time_s,light\nframes/00\0,0,left\n", r"frames.csv line 2: file 'frames/00\x00' holds a NUL character"),
         (b"file,time_s,light\n\xff.jpg,0,left\n", "frames.csv: not UTF-8 text (byte 18)"),
         (b'file,time_s,light\n"a.jpg,0,left\n', "not a CSV file"),
@@ -175,6 +176,17 @@ def test_bad_frames_table(tmp_path: Path, text: bytes, said: str) -> None:
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < len(str(tmp_path)) + 200
+
+
+def test_of_a_frame_only_its_name_and_time_must_be_told(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    lines = ["a.jpg,0,,21.5", "b.jpg,300,left,", "c.jpg,600, ,NaN", "d.jpg,900,right,22"]
+    run.frames_csv.write_text("\n".join(["file,time_s,light,temperature_c", *lines]) + "\n")
+    rows = run.read_frames()
+    assert [row.light for row in rows] == ["left", "left", "left", "right"]
+    assert [row.covariates for row in rows] == [{"temperature_c": 21.5}, {}, {}, {"temperature_c": 22.0}]
+    run.frames_csv.write_text("file,time_s,light\na.jpg,0,\nb.jpg,300,\n")
+    assert [row.light for row in run.read_frames()] == [None, None]
 
 
 def test_the_mark_that_some_programs_write_before_text_is_no_part_of_it(tmp_path: Path) -> None:

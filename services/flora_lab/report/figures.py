@@ -46,7 +46,7 @@ def tip_and_lamps(summary: RunSummary) -> str:
     axes.plot(hours, summary.track.points_cm[:, -1, 0], color="black", label="tip x (right is positive)")
     if summary.run.target is not None:
         axes.axhline(summary.run.target.x_cm, color=TARGET, linestyle=":", linewidth=1, label="target x")
-    _lamp_band(axes, [f.time_s / 3600 for f in summary.frames], [f.light for f in summary.frames])
+    _lamp_band(axes, [f.time_s / 3600 for f in summary.frames], [f.light or "dark" for f in summary.frames])
     axes.margins(y=0.12)  # the band is not to lie on a curve
     axes.set(xlabel="hours", ylabel="cm", xlim=(0, max(hours[-1], 0.1)))
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=8)

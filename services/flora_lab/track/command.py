@@ -6,7 +6,6 @@ import contextlib
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import typer
@@ -210,7 +209,7 @@ def _summed(source: RunSource | FolderSource | FilmSource, part: PartFile) -> Su
 
 def _no_clash(source: RunSource | FolderSource | FilmSource, own: Sequence[str]) -> None:
     """Before any work: a track in which a column's name stands twice is read by nothing."""
-    covariates: dict[str, Any] = source.rows[0].covariates if isinstance(source, RunSource) else {}
+    covariates = {name for row in source.rows for name in row.covariates} if isinstance(source, RunSource) else set()
     for name in own:
         if name in covariates:
             raise BadInput(f"{source.name}: frames.csv has a column `{name}`, which the track needs; rename it")

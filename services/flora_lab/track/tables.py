@@ -49,14 +49,14 @@ def track_text(readings: Sequence[Reading], *, method_columns: bool) -> str:
     Names of covariates may hold commas and quotes, as ``frames.csv`` may; they must not be :func:`own_columns`.
     """
     with_points = [(r, r.stem.points_cm) for r in readings if r.stem.points_cm is not None]
-    names = list(with_points[0][0].covariates) if with_points else []
+    names = list(dict.fromkeys(name for r, _ in with_points for name in r.covariates))
     header = io.StringIO()
     csv.writer(header, lineterminator="").writerow(
         [*TRACK_COLUMNS, *names, *(METHOD_COLUMNS if method_columns else ())]
     )
     lines = [header.getvalue()]
     for r, points_cm in with_points:
-        further = [f"{r.covariates[name]!r}" for name in names]
+        further = [f"{r.covariates[name]!r}" if name in r.covariates else "" for name in names]
         if method_columns and r.stem.uncertainty_mm is not None:
             further += [f"{r.stem.quality:.3f}", f"{r.stem.folded:d}", f"{r.stem.uncertainty_mm[-1]:.3f}"]
         lines.append(",".join([track_line(r.time_s, r.light, points_cm), *further]))
