@@ -42,6 +42,7 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
+from flora_common.counted import counted
 from flora_common.errors import BadController
 from flora_common.files import sha256_of_bytes
 from flora_common.json_strict import canonical_bytes, read_table
@@ -249,4 +250,4 @@ def _check_inputs(file: ControllerFile, where: str) -> None:
         seen.add(entry.name)
     wanted = len(file.network.topology.input_keys)
     if len(file.inputs) != wanted:
-        raise BadController(f"{where}: {len(file.inputs)} inputs are listed, the network has {wanted}")
+        raise BadController(f"{where}: lists {counted(len(file.inputs), 'input')}, the network has {wanted}")

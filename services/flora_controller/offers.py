@@ -15,6 +15,7 @@ import binascii
 from typing import Final
 
 from flora_common.controller_file import MAX_BYTES
+from flora_common.counted import counted
 from flora_common.errors import BadController
 from flora_common.files import sha256_of_bytes
 from flora_common.messages import ControllerChunk, ControllerOffer
@@ -116,4 +117,4 @@ def _check(offer: ControllerOffer) -> None:
     if offer.bytes > MAX_BYTES:
         raise BadController(f"{offer.bytes} bytes; a controller file has at most {MAX_BYTES}")
     if offer.chunks != chunks_of(offer.bytes):
-        raise BadController(f"{offer.bytes} bytes are {chunks_of(offer.bytes)} chunks, not {offer.chunks}")
+        raise BadController(f"{offer.bytes} bytes are {counted(chunks_of(offer.bytes), 'chunk')}, not {offer.chunks}")

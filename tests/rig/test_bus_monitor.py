@@ -49,7 +49,7 @@ def test_tail_piped_is_one_json_object_a_line_and_shows_kept_values_at_once(live
     (line,) = lines_of(out)
     assert (line["topic"], line["tick"], line["time_s"], line["source"]) == ("test/tick", 3, 900.0, "flora-flash")
     assert tail.returncode == 0
-    assert err.startswith("flora-monitor: 1 messages, 0 lost, 0 bad, 0 repeated in ")
+    assert err.startswith("flora-monitor: 1 message, 0 lost, 0 bad, 0 repeated in ")
 
 
 def test_tail_shows_bad_messages_and_goes_on(live: Any) -> None:
@@ -125,7 +125,7 @@ def test_a_rig_that_says_nothing_is_explained_while_it_is_waited_for(live: Any) 
     out, err = tail.communicate(timeout=20)
     (line,) = lines_of(out)
     assert (line["topic"], line["tick"]) == ("nosuch/tick", 4)
-    assert err.startswith("flora-monitor: 1 messages, ")
+    assert err.startswith("flora-monitor: 1 message, ")
 
 
 @pytest.mark.parametrize(

@@ -279,7 +279,7 @@ WRONG: dict[str, tuple[bytes, str]] = {
     ),
     "input changed": (TRUSTED.data.replace(b'"x10"', b'"y10"'), "was changed after it was signed"),
     "input unknown": (_with_inputs(["x11", "target_x"]), "input 1 is `x11`"),
-    "input missing": (_with_inputs(["x10"]), "1 inputs are listed, the network has 2"),
+    "input missing": (_with_inputs(["x10"]), "lists 1 input, the network has 2"),
     "input twice": (_with_inputs(["x10", "x10"]), "input `x10` is listed twice"),
     "not finite": (_with_weight("NaN"), "NaN is not a finite number"),
     "infinite": (_with_weight("-Infinity"), "-Infinity is not a finite number"),

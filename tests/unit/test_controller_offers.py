@@ -156,7 +156,7 @@ def test_an_offer_that_changes_its_file_or_contradicts_itself_is_refused() -> No
     with pytest.raises(BadController, match="at most 1000000"):
         Assembly().begin(offered(bytes(MAX_BYTES + 1)), 0.0)
     wrong = ControllerOffer(offer=ID, name="x", sha256="0" * 64, bytes=10, chunks=2)
-    with pytest.raises(BadController, match="10 bytes are 1 chunks, not 2"):
+    with pytest.raises(BadController, match="10 bytes are 1 chunk, not 2"):
         Assembly().begin(wrong, 0.0)
 
 
