@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnose_runs import REFERENCE, change_of, known, scene_of, scenes_of
 
+from flora_lab.diagnose.claims import claims_of
 from flora_lab.diagnose.cross_fit import FOLDS, LEAST_RUNS, ROUNDS, learn_from
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import FIRST
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.knowledge import TRIED, Knowledge
 from flora_lab.effects.law_forms import AS_WRITTEN
 from flora_lab.threads import one_blas_thread
+
+SAG = "sag"
 
 
 @functools.cache
@@ -25,33 +29,71 @@ def not_alike() -> Knowledge:
         return learn_from([scene_of(seed, change=rolled[seed % FOLDS]) for seed in REFERENCE], laws=AS_WRITTEN)
 
 
+def in_folds(nats: Sequence[float]) -> Knowledge:
+    """As much for a sag in each fold."""
+    folds = np.full((FOLDS, len(TRIED)), -1.0)
+    folds[:, TRIED.index(SAG)] = nats
+    return replace(known(), cross_fit=folds)
+
+
 def claim(one: Knowledge, runs: int = 3) -> float:
     return Explainer(scenes_of(range(30, 30 + runs)), one).claims.first
 
 
 def test_healthy_runs_show_next_to_nothing_in_each_other() -> None:
-    assert known().cross_fit.shape == (FOLDS,)
+    assert known().cross_fit.shape == (FOLDS, len(TRIED))
     assert known().cross_fit.max() < FIRST
     assert claim(known()) < FIRST + 1.0
 
 
 def test_a_reference_that_is_not_alike_shows_causes_in_itself_and_asks_for_more() -> None:
     found = not_alike().cross_fit
-    assert min(found[0], found[2]) > 1.0  # the folds with the rolled cameras
+    assert min(found[0].max(), found[2].max()) > 1.0  # the folds with the rolled cameras
     assert claim(not_alike()) > claim(known()) + 1.0
+    claims = claims_of(not_alike(), 3)
+    assert claims.of("camera_roll", 0) > 1.0 + claims.of("diurnal_growth", 0)
 
 
 def test_what_is_asked_grows_with_what_was_found_up_to_a_bound() -> None:
-    asked = [claim(replace(known(), cross_fit=np.full(FOLDS, nats))) for nats in (-3.0, 1.5, 2.0, 3.0, 30.0, 300.0)]
+    asked = [claim(in_folds([nats] * FOLDS)) for nats in (-3.0, 1.5, 2.0, 3.0, 30.0, 300.0)]
     assert asked[0] == asked[1] == FIRST  # as much is chance
     assert asked == sorted(asked)
     assert asked[1] < asked[2] < asked[3] < asked[4] == asked[5]
-    one_odd_plant = np.array([0.0, 0.3, 30.0])
-    assert claim(replace(known(), cross_fit=one_odd_plant)) == FIRST
+    one_odd_plant = in_folds([0.0, 0.3, 30.0])
+    assert claim(one_odd_plant) == FIRST
+
+
+def test_more_is_asked_of_the_cause_that_was_found_in_any_fold() -> None:
+    def beyond(nats: float, runs: int = 3) -> float:
+        claims = claims_of(in_folds([0.0, nats, 0.3]), runs)
+        return claims.of(SAG, 1) - claims.causes[1]
+
+    asked = [beyond(nats) for nats in (-3.0, 1.5, 2.0, 5.0, 30.0, 300.0)]
+    assert asked[0] == asked[1] == 0.0
+    assert asked == sorted(asked)
+    assert asked[2] < asked[3] < asked[4] == asked[5]
+    assert claims_of(in_folds([0.0, 9.0, 0.3]), 3).of("draught", 0) == FIRST
+    assert beyond(5.0, 6) == pytest.approx(2.0 * beyond(5.0))
+    # what all causes need for it already is not asked for twice
+    all_folds = claims_of(in_folds([4.0] * FOLDS), 3)
+    assert all_folds.first > FIRST
+    assert all_folds.of(SAG, 0) == all_folds.first
+
+
+def test_a_cause_has_no_name_where_healthy_runs_show_as_much_of_it() -> None:
+    scenes = scenes_of((84, 85), {"camera_roll": {"angle_deg": 5.0}})
+    folds = np.zeros((FOLDS, len(TRIED)))
+    folds[1, TRIED.index("camera_roll")] = 300.0
+    with one_blas_thread():
+        as_usual, doubted = (Explainer(scenes, one) for one in (known(), replace(known(), cross_fit=folds)))
+        stage = as_usual.first_stage()
+        assert stage.tried[0].effect.name == "camera_roll"
+        asked = [one.explain().claim for one in (as_usual, doubted)]
+    assert asked[1] > asked[0] + 10.0
 
 
 def test_errors_of_the_law_add_up_over_runs() -> None:
-    doubtful = replace(known(), cross_fit=np.full(FOLDS, 2.5))
+    doubtful = in_folds([2.5] * FOLDS)
     three, six = (claim(doubtful, runs) - FIRST for runs in (3, 6))
     assert six == pytest.approx(2.0 * three)
     assert claim(doubtful, 1) - FIRST == three
@@ -62,6 +104,6 @@ def test_too_few_runs_are_not_held_out() -> None:
     told: list[int] = []
     with one_blas_thread():
         few = learn_from(scenes_of(REFERENCE[:3]), told.append)
-    assert few.cross_fit.shape == (0,)
+    assert few.cross_fit.shape == (0, len(TRIED))
     assert claim(few) >= FIRST
     assert told == [*range(1, ROUNDS + 1)]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.knowledge import TRIED, Knowledge
 
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
@@ -18,6 +19,9 @@ _FOUND_IN_HEALTHY: Final = 1.0
 _BY_CHANCE: Final = 1.5
 """As much healthy runs of the law's own physics show in each other, and it tells nothing of what others will."""
 _MOST_DOUBT: Final = 4.0
+_MOST_DOUBT_OF_ONE: Final = 15.0
+"""Nats that a cause needs besides, at most, where healthy runs show that very one in any fold: one odd plant among nine
+is one to be met in every third case of three."""
 NAMELESS: Final = 14.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
@@ -40,16 +44,22 @@ class Claims:
         nameless: that something without a name needs.
         nameless_alone: the same where no cause has next to anything.
         better: by which it must be better than the best cause.
+        besides: what causes need beyond these because healthy runs show them; none where missing.
     """
 
     causes: tuple[float, float, float]
     nameless: float
     nameless_alone: float
     better: float
+    besides: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def first(self) -> float:
         return self.causes[0]
+
+    def of(self, name: str, others: int) -> float:
+        """What a cause needs beside so many others."""
+        return self.causes[others] + self.besides.get(name, 0.0)
 
 
 def claims_of(known: Knowledge, runs: int) -> Claims:
@@ -61,7 +71,16 @@ def claims_of(known: Knowledge, runs: int) -> Claims:
         more * NAMELESS + doubt,
         more * NAMELESS_ALONE + doubt,
         BETTER + (more - 1.0) * NAMELESS,
+        {name: max(0.0, more * own - doubt) for name, own in _doubts(known).items()},
     )
+
+
+def _doubts(known: Knowledge) -> Mapping[str, float]:
+    """Nats that each cause needs besides in three runs, because healthy ones of the same plants show it."""
+    if not len(known.cross_fit):
+        return {}
+    most = np.clip(known.cross_fit.max(axis=0) - _BY_CHANCE, 0.0, _MOST_DOUBT_OF_ONE)
+    return dict(zip(TRIED, most.tolist(), strict=True))
 
 
 def _doubt_of(known: Knowledge) -> float:
@@ -69,5 +88,5 @@ def _doubt_of(known: Knowledge) -> float:
     of_errors = _DOUBT * max(0.0, known.errors.beyond_expected)
     if not len(known.cross_fit):
         return of_errors
-    found = float(np.median(known.cross_fit))  # one odd plant makes one odd fold
+    found = float(np.median(known.cross_fit.max(axis=1)))  # one odd plant makes one odd fold
     return max(of_errors, min(_FOUND_IN_HEALTHY * max(0.0, found - _BY_CHANCE), _MOST_DOUBT))

@@ -1,9 +1,9 @@
 """Learning from reference runs, and what the same search finds in them if they are held out.
 
 Nothing is wrong with a reference run. Evidence for a cause in some of them, by what the others tell, is the law's own
-error, and as much of it is to be expected in measured runs: more is asked of a cause there. Which law is best and where
-each plant's fit ended is not learned anew for each fold; how plants differ, what happens by chance and what the law is
-wrong in is.
+error, and as much of it is to be expected in measured runs: more is asked of all causes there, and most of those that
+were found. Which law is best and where each plant's fit ended is not learned anew for each fold; how plants differ,
+what happens by chance and what the law is wrong in is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from flora_common.arrays import Array
 from flora_lab.diagnose import learn
 from flora_lab.diagnose.explain import Explainer
-from flora_lab.diagnose.knowledge import LAW_ROUNDS, Knowledge, known_of, law_of, under
+from flora_lab.diagnose.knowledge import LAW_ROUNDS, TRIED, Knowledge, known_of, law_of, under
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.law_forms import LAWS, Law
 
@@ -53,6 +53,8 @@ def _held_out(scenes: Sequence[Scene], best: learn.Learned, known: Knowledge, on
         kept = [i for i in range(len(scenes)) if i not in out]
         if len(scenes) >= LEAST_RUNS:
             less = known_of([scenes[i] for i in kept], learn.learned_by(scenes, best, kept), known.law)
-            found.append(Explainer([scenes[i] for i in out], less).first_stage().tried[0].gain)
+            tried = Explainer([scenes[i] for i in out], less).first_stage().tried
+            gains = {one.effect.name: one.gain for one in tried}
+            found.append([gains.get(name, 0.0) for name in TRIED])
         on_fold()
-    return np.array(found)
+    return np.array(found).reshape(-1, len(TRIED))

@@ -192,10 +192,11 @@ class Explainer:
         """Nats that the best cause of a stage must have, on top of those accepted."""
         if not accepted:
             as_good = stage.tried[0].gain - _AS_GOOD
-            return self.claims.first + max(one.effect.first_needs for one in stage.tried if one.gain >= as_good)
+            best = (one.effect for one in stage.tried if one.gain >= as_good)
+            return max(self.claims.of(one.name, 0) + one.first_needs for one in best)
         formed = [one.tried for one in accepted if _has_form(one.tried.effect)]
         wrong = sum((FORM if tried.swing is None else OF_A_SWING) * tried.gain for tried in formed)
-        return self.claims.causes[len(accepted)] + min(wrong, _MOST_OF_FORM)
+        return self.claims.of(stage.tried[0].effect.name, len(accepted)) + min(wrong, _MOST_OF_FORM)
 
     def _is_outdone(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether something without a name comes before the best cause.
@@ -231,9 +232,9 @@ class Explainer:
             accepted.remove(earlier)
             last = accepted[-1].tried.effect.name
             again = next((t for t in earlier.stage.tried if t.effect.name == last), None)
-            if again is not None and again.found is not None:
+            if again is not None and again.found is not None and again.gain >= self.claims.first:
                 # It was compared with the dropped one there: that is where its rivals are.
-                rest = tuple(t for t in earlier.stage.tried if t is not again)
+                rest = (t for t in earlier.stage.tried if t is not again)
                 accepted[-1] = Accepted(again, Stage(earlier.stage.before, (again, *rest)))
         return found
 
@@ -337,10 +338,10 @@ class Explainer:
 
     @staticmethod
     def _restarted(joint: Joint, stage: Stage) -> Found:
-        fits = [t.found for t in stage.tried if t.found is not None and t.found.jacobians]
-        if not fits:
+        fits = (t.found for t in stage.tried if t.found is not None and t.found.jacobians)
+        best = max(fits, key=lambda fit: fit.evidence, default=None)
+        if best is None:
             return stage.before
-        best = max(fits, key=lambda fit: fit.evidence)
         again = Found(stage.before.hypothesis, stage.before.coordinates.copy(), best.traits.copy(), best.start.copy())
         return joint.fit(again)
 

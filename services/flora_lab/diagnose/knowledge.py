@@ -17,11 +17,14 @@ from flora_lab.diagnose.rhythm import Spectrum, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
+from flora_lab.effects.catalogue import CATALOGUE
 from flora_lab.effects.effect import Change
 from flora_lab.effects.law_forms import LAWS, Law
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 
+TRIED: Final = tuple(effect.name for effect in CATALOGUE if effect.forms)
+"""Causes that are looked for."""
 _STEPS: Final = 8
 _PARTS: Final = 6
 _RATHER: Final = 10.0
@@ -46,8 +49,8 @@ class Knowledge:
         residuals: what the base gets wrong about its own runs.
         law: the forms of the law that its plants are under; none where it is as it is written.
         pushes: what has no name and healthy runs show all the same.
-        cross_fit: nats for the best cause in reference runs by what the others tell, shape (folds,); empty where they
-            are too few. See :mod:`flora_lab.diagnose.cross_fit`.
+        cross_fit: nats for each of :data:`TRIED` in reference runs by what the others tell, shape (folds, causes); no
+            folds where they are too few. See :mod:`flora_lab.diagnose.cross_fit`.
     """
 
     base: Base
@@ -58,7 +61,7 @@ class Knowledge:
     residuals: ReferenceResiduals
     law: tuple[Extension, ...] = ()
     pushes: UsualPushes = field(default_factory=no_pushes)
-    cross_fit: Array = field(default_factory=lambda: np.zeros(0))
+    cross_fit: Array = field(default_factory=lambda: np.zeros((0, len(TRIED))))
 
 
 def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:

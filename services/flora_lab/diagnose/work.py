@@ -265,6 +265,6 @@ def _base_words(known: Knowledge) -> dict[str, Any]:
     return {
         "runs": known.base.runs,
         "law": law,
-        "cross_fit_nats": [round(float(nats), 1) for nats in known.cross_fit],
+        "cross_fit_nats": [round(float(nats), 1) for nats in known.cross_fit.max(axis=1)],
         "chance": {k: round(v, 5) for k, v in chance.as_dict(known.base.sizes).items()},
     }

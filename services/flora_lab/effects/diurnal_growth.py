@@ -20,6 +20,12 @@ def acting(change: Change, v: Values) -> None:
     change.terms[terms.ACTIVITY] = 1.0
 
 
+def partly(change: Change, v: Values) -> None:
+    """Bending by the root of what elongation is: between the two."""
+    growing(change, v)
+    change.terms[terms.ACTIVITY] = 0.5
+
+
 def sentence(v: Values) -> str:
     """What it means."""
     size, peak_h = 100.0 * abs(v["amplitude"]), v["peak_h"] % 24.0
@@ -55,6 +61,7 @@ EFFECT: Final = Effect(
     forms=(
         growing,
         acting,
+        partly,
     ),
     sentence=sentence,
     first_needs=4.0,

@@ -6,6 +6,8 @@ from typing import Final
 
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
 
+BENDING: Final = ("photoception_per_cm_h", "graviception_per_cm_h", "proprioception_per_h")
+
 
 def growing(change: Change, v: Values) -> None:
     """Elongation alone."""
@@ -16,8 +18,15 @@ def growing(change: Change, v: Values) -> None:
 def acting(change: Change, v: Values) -> None:
     """Elongation and bending, as one activity."""
     growing(change, v)
-    for rate in ("photoception_per_cm_h", "graviception_per_cm_h", "proprioception_per_h"):
+    for rate in BENDING:
         change.times(rate, v["factor"])
+
+
+def partly(change: Change, v: Values) -> None:
+    """Bending by the root of what elongation is: between the two."""
+    growing(change, v)
+    for rate in BENDING:
+        change.times(rate, v["factor"] ** 0.5)
 
 
 def sentence(v: Values) -> str:
@@ -43,6 +52,7 @@ EFFECT: Final = Effect(
     forms=(
         growing,
         acting,
+        partly,
     ),
     sentence=sentence,
     same_as={

@@ -19,6 +19,12 @@ def acting(change: Change, v: Values) -> None:
     change.terms[terms.ACTIVITY] = 1.0
 
 
+def partly(change: Change, v: Values) -> None:
+    """Bending by the root of what elongation is: between the two."""
+    growing(change, v)
+    change.terms[terms.ACTIVITY] = 0.5
+
+
 def sentence(v: Values) -> str:
     """What it means."""
     return f"growth changes by {100.0 * v['per_degree']:+.1f} % with each degree"
@@ -43,6 +49,7 @@ EFFECT: Final = Effect(
     forms=(
         growing,
         acting,
+        partly,
     ),
     sentence=sentence,
     same_as={"diurnal_growth": "a day of constant temperature"},
