@@ -100,7 +100,7 @@ def deliver(
 def outcome(answer: ControllerAnswer, *, rig: str, name: str) -> str:
     """What became of an offer, in a sentence."""
     if answer.stage == "shadowing":
-        ticks = f"{counted(answer.shadow_ticks_left, 'tick')}"
+        ticks = counted(answer.shadow_ticks_left, "tick")
         return f"rig `{rig}` took {name}; `{answer.steers}` steers for {ticks} more, the new one in its shadow"
     if answer.stage == "steering":
         return f"rig `{rig}` took {name}: `{answer.steers}` steers"

@@ -19,9 +19,12 @@ _FOUND_IN_HEALTHY: Final = 1.0
 _BY_CHANCE: Final = 1.5
 """As much healthy runs of the law's own physics show in each other, and it tells nothing of what others will."""
 _MOST_DOUBT: Final = 4.0
-_MOST_DOUBT_OF_ONE: Final = 15.0
-"""Nats that a cause needs besides, at most, where healthy runs show that very one in any fold: one odd plant among nine
-is one to be met in every third case of three."""
+_FOUND_OF_ONE: Final = 1.5
+"""Nats that a cause needs besides for each that healthy runs show for that very one, in the fold with most of it,
+beyond :data:`_BY_CHANCE`: other plants like these have more of it than all three folds in one case of four. One odd
+plant among nine is met again in every third case of three."""
+_MOST_DOUBT_OF_ONE: Final = 20.0
+"""The same at most."""
 NAMELESS: Final = 14.0
 """Nats that it must have, which nobody has put bounds to; with more runs than three in proportion: what is wrong in the
 form of the law adds up over runs."""
@@ -79,8 +82,8 @@ def _doubts(known: Knowledge) -> Mapping[str, float]:
     """Nats that each cause needs besides in three runs, because healthy ones of the same plants show it."""
     if not len(known.cross_fit):
         return {}
-    most = np.clip(known.cross_fit.max(axis=0) - _BY_CHANCE, 0.0, _MOST_DOUBT_OF_ONE)
-    return dict(zip(TRIED, most.tolist(), strict=True))
+    beyond = known.cross_fit.max(axis=0) - _BY_CHANCE
+    return dict(zip(TRIED, np.clip(_FOUND_OF_ONE * beyond, 0.0, _MOST_DOUBT_OF_ONE).tolist(), strict=True))
 
 
 def _doubt_of(known: Knowledge) -> float:
