@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from diagnose_runs import REFERENCE, TYPICAL, change_of, known, scene_of
 
-from flora_lab.diagnose import chance, usual_errors
-from flora_lab.diagnose.cross_fit import learn_from
+from flora_lab.diagnose import chance, learn, usual_errors
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Joint, ready
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.knowledge import Knowledge, known_of
 from flora_lab.diagnose.scene import Lanes
 from flora_lab.diagnose.usual_errors import (
     UsualErrors,
@@ -26,7 +26,7 @@ from flora_lab.diagnose.usual_errors import (
 )
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change, Effect
-from flora_lab.effects.law_forms import AS_WRITTEN, FORMS
+from flora_lab.effects.law_forms import FORMS
 from flora_lab.simulator.terms import APICAL, BRIGHTNESS_MORE, SIGNAL_H_PER_CM
 from flora_lab.threads import one_blas_thread
 
@@ -34,14 +34,17 @@ DRAUGHTS = np.array([0.5, -1.0, 1.0, 2.0, -0.5, -2.0, 1.5, -1.5, 0.0]) * 0.03
 """Of nine reference runs; about nothing on the mean."""
 
 
+def told_by(changes: Sequence[Change]) -> Knowledge:
+    """What reference runs tell to each of which something happened; they are not tried on each other."""
+    with one_blas_thread():
+        scenes = [scene_of(seed, change=change) for seed, change in zip(REFERENCE, changes, strict=True)]
+        return known_of(scenes, learn.learned(scenes), ())
+
+
 @functools.cache
 def draughty() -> Knowledge:
     """Every reference run is pushed to a side a little, each to its own."""
-    changes = [change_of({"draught": {"drive_per_cm_h": float(push)}}) for push in DRAUGHTS]
-    with one_blas_thread():
-        return learn_from(
-            [scene_of(seed, change=change) for seed, change in zip(REFERENCE, changes, strict=True)], laws=AS_WRITTEN
-        )
+    return told_by([change_of({"draught": {"drive_per_cm_h": float(push)}}) for push in DRAUGHTS])
 
 
 def at(name: str) -> int:
@@ -145,8 +148,7 @@ def test_what_happened_to_few_runs_by_chance_is_not_known_of_all() -> None:
 def test_what_all_healthy_runs_show_is_no_news() -> None:
     """Every one of them is pushed to the same side."""
     push = {"draught": {"drive_per_cm_h": 0.04}}
-    with one_blas_thread():
-        usual = learn_from([scene_of(seed, change=change_of(push)) for seed in REFERENCE], laws=AS_WRITTEN)
+    usual = told_by([change_of(push)] * len(REFERENCE))
     assert evidence_for("draught", (30, 31, 32), usual, push["draught"]) < 3.0
     assert evidence_for("draught", (30, 31, 32), usual, {"drive_per_cm_h": -0.12}) > 6.0
 
@@ -155,8 +157,7 @@ def test_the_form_of_the_law_is_learned_from_healthy_runs() -> None:
     """Their light pulls more steeply than the law says; that is told, once for all plants, and is no effect."""
     steeper = Change()
     steeper.terms[BRIGHTNESS_MORE] = 0.4
-    with one_blas_thread():
-        usual = learn_from([scene_of(seed, change=steeper) for seed in REFERENCE], laws=AS_WRITTEN)
+    usual = told_by([steeper] * len(REFERENCE))
     form = sum(columns()[: at("brightness_more")])
     assert abs(known().errors.mean[form]) < 0.12
     assert 0.2 < usual.errors.mean[form] < 0.6
