@@ -337,7 +337,7 @@ def test_the_most_promising_are_fitted_in_full() -> None:
 
 
 def test_every_form_and_every_start_is_looked_at() -> None:
-    assert [cause.form for cause in search.forms_of(BY_NAME["diurnal_growth"])] == [0, 1]
+    assert [cause.form for cause in search.forms_of(BY_NAME["diurnal_growth"])] == [0, 1, 2]
     starts = list(search._starts(BY_NAME["diurnal_growth"].parameters))
     assert {float(start[1]) for start in starts} == {3.0, 9.0, 15.0, 21.0}
     hours = {round(float(np.exp(start[0])), 6) for start in search._starts(BY_NAME["adaptation"].parameters)}

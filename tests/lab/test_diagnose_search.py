@@ -65,7 +65,7 @@ def test_a_rhythm_is_found_whenever_it_peaks(peak_h: float) -> None:
 
 def test_what_is_looked_at_stays_within_reach() -> None:
     """Evidence is that of a place that can be come to: a rhythm that is less than none explains nothing."""
-    (cause, _) = search.forms_of(BY_NAME["diurnal_growth"])
+    cause = next(search.forms_of(BY_NAME["diurnal_growth"]))
     with one_blas_thread():
         joint = joint_of(effects={"diurnal_growth": {"amplitude": 0.5, "peak_h": 3.0}})
         before = joint.fit(joint.null(), 12)

@@ -90,7 +90,7 @@ BAD: list[tuple[Extension, str]] = [
     (Extension("gravitropism", {"factor": -1.0}), "`factor` is -1;"),
     (Extension("gravitropism", {"factor": 12.0}), "`factor` is 12;"),
     (Extension("sag", {"amplitude": 0.5}, 1), "effect `sag` has no form 1; it has 0 to 0"),
-    (Extension("growth_rate", {"factor": 1.2}, -1), "effect `growth_rate` has no form -1; it has 0 to 1"),
+    (Extension("growth_rate", {"factor": 1.2}, -1), "effect `growth_rate` has no form -1; it has 0 to 2"),
 ]
 
 

@@ -139,7 +139,7 @@ def test_pictures_that_are_there_are_not_photographed_again_unasked(
     assert main(["calibrate", "--config", str(config)]) == 2
 
     said = capsys.readouterr().err
-    assert "already holds 1 pictures; --again sets them aside and takes new ones" in said
+    assert "already holds 1 picture; --again sets them aside and takes new ones" in said
     assert said.count("\n") == 1
 
 
