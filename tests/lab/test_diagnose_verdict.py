@@ -18,7 +18,7 @@ from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.knowledge import blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
-from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
+from flora_lab.diagnose.verdict import Left, beside_a_knock, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.threads import one_blas_thread
 
@@ -135,6 +135,19 @@ def test_runs_in_which_something_was_knocked_are_not_told_as_if_nothing_was() ->
     assert told.startswith("Camera or pot was knocked: run1 then; run2 now. Beside that: Nothing is wrong")
     told = summary([cause], NONE_LEFT, knocks=["run1 then"])
     assert told.startswith("Camera or pot was knocked: run1 then. Beside that: Sagging")
+
+
+def test_a_pot_that_was_tipped_is_not_told_as_a_rolled_camera_with_confidence() -> None:
+    rolled, sagging = cause_of({"camera_roll": 30.0}, "camera_roll", [5.0]), cause_of({"sag": 300.0}, "sag", SAGGING)
+    assert rolled.confidence > 0.9
+    told, other = beside_a_knock([rolled, sagging])
+    assert told.confidence == 0.3
+    assert told.evidence.endswith("So does a pot that was tipped.")
+    assert told.parameters == rolled.parameters
+    assert other == sagging
+    assert verdict_of([told], NONE_LEFT, is_knocked=True) == "unexplained"
+    assert verdict_of([told, other], NONE_LEFT, is_knocked=True) == "explained"
+    assert verdict_of([rolled], NONE_LEFT) == "explained"
 
 
 @settings(deadline=None)

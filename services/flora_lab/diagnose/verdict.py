@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 import scipy.special
 import scipy.stats
@@ -56,6 +57,8 @@ _LEFT_P: Final = 0.003
 _MOSTLY: Final = 0.6
 _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
+TIPPED: Final = ("camera_roll", "camera_drift")
+"""What plants look like in a pot that was tipped, once their stems are turned back."""
 _ABOUT_H: Final = 6
 """What is left is averaged over so many hours to say when it is most."""
 _BY_GUSTS: Final = "wind bends the stem; its gusts tell so, and these runs hardly tell from which side"
@@ -152,12 +155,33 @@ def _height_cm(scene: Scene, window: int) -> float:
 
 
 def verdict_of(causes: Sequence[NamedCause], left: Left, is_knocked: bool = False) -> Verdict:
-    """In a word; runs in which somebody knocked something, and nothing else is found, are for a person to look at."""
+    """In a word; runs in which somebody knocked something, and nothing else is found, are for a person to look at.
+
+    Nothing else is what a pot that was tipped looks like, too, see :func:`beside_a_knock`.
+    """
     if left.is_much:
         return "unexplained"
-    if causes:
+    if any(not (is_knocked and cause.effect in TIPPED) for cause in causes):
         return "explained"
     return "unexplained" if is_knocked else "nothing_wrong"
+
+
+def beside_a_knock(causes: Sequence[NamedCause]) -> list[NamedCause]:
+    """The causes of runs of which it was told that somebody knocked something, and stems were turned back.
+
+    Where it was the pot, and not the camera, light and gravity come from elsewhere since then, and plants bend as in
+    pictures that are turned the other way.
+    """
+    return [
+        msgspec.structs.replace(
+            cause,
+            confidence=min(cause.confidence, _UNSURE),
+            evidence=f"{cause.evidence} So does a pot that was tipped.",
+        )
+        if cause.effect in TIPPED
+        else cause
+        for cause in causes
+    ]
 
 
 def named(explanation: Explanation, left: Left) -> list[NamedCause]:

@@ -30,7 +30,7 @@ from flora_lab.diagnose.next_experiment import next_experiment
 from flora_lab.diagnose.residuals import ResidualTables, residuals_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
-from flora_lab.diagnose.verdict import Left, left_of, left_words, named, verdict_of
+from flora_lab.diagnose.verdict import Left, beside_a_knock, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
 from flora_lab.simulator.growing import GrowingSimulator
@@ -182,6 +182,8 @@ def diagnose(
         scenes = list(explainer.scenes)
         left = left_of(explanation, start.known)
         causes = named(explanation, left)
+        if runs.knocked:
+            causes = beside_a_knock(causes)
         faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
         mended = _mended(start, faults, runs, further)
         said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
