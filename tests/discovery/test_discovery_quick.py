@@ -18,9 +18,9 @@ from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.knowledge import Knowledge, known_of
+from flora_lab.diagnose.learn import learned
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
-from flora_lab.effects.law_forms import AS_WRITTEN, LAWS
 from flora_lab.threads import one_blas_thread
 
 from .scoring import named_as_a_pair
@@ -85,12 +85,12 @@ _LEARNED: dict[tuple[int, int], Knowledge] = {}
 
 
 def _learned(world: tuple[int, int], reference: Runs) -> Knowledge:
-    """Healthy runs follow from form and seed alone. Which law they are under takes its time, and is asked where there
-    is some."""
+    """Healthy runs follow from form and seed alone. Which law they are under, and what they show in each other, takes
+    its time, and is asked where there is some."""
     if world not in _LEARNED:
-        laws = AS_WRITTEN if world == QUICK else LAWS
+        scenes = reference.scenes(reference.usual_temperature_c())
         with one_blas_thread():
-            _LEARNED[world] = learn_from(reference.scenes(reference.usual_temperature_c()), laws=laws)
+            _LEARNED[world] = known_of(scenes, learned(scenes), ()) if world == QUICK else learn_from(scenes)
     return _LEARNED[world]
 
 

@@ -23,6 +23,7 @@ def run(set_to: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow  # all is compiled anew
 def test_plants_are_the_same_to_the_bit_however_many_stand_side_by_side() -> None:
     own, widest = run(""), run(str(CHOICES[-1]))
     assert int(own[0]) in CHOICES[:-1]

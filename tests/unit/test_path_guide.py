@@ -219,7 +219,7 @@ def test_plants_that_were_not_learnt_from_are_seen(
 ) -> None:
     """Beside a trivial answer, the plant's place that is farthest from the anchor."""
     off_cm, trivial_cm, line_cm = [], [], []
-    for seed in HELD_OUT:
+    for seed in HELD_OUT[:40]:
         example = made(seed)
         if example is None:
             continue
