@@ -75,7 +75,7 @@ def test_sizes_of_chance_are_found_again(factors: tuple[float, ...]) -> None:
     for factor, rows in zip(factors, GROUPS.values(), strict=True):
         truth[rows] *= factor
     truth = np.maximum(truth, [part.least for part in PARTS])
-    found = by_drive(sizes_and_spread(drawn(24, 5, sizes=truth), TYPICAL, 1.5 * sizes_expected(), prior_spread())[0])
+    found = by_drive(sizes_and_spread(drawn(24, 5, sizes=truth), TYPICAL, 1.5 * sizes_expected())[0])
     largest = max(by_drive(truth).values())
     for drive, wanted in by_drive(truth).items():
         # What hardly pushes the features beside the rest is hardly told.
@@ -86,9 +86,7 @@ def test_sizes_of_chance_are_found_again(factors: tuple[float, ...]) -> None:
 def test_how_plants_differ_is_told_apart_from_chance(factor: float) -> None:
     """Over a few kinds: nine plants of one may by chance be alike."""
     truth = factor**2 * prior_spread()
-    found = [
-        sizes_and_spread(drawn(9, seed, spread=truth), TYPICAL, sizes_expected(), prior_spread()) for seed in range(5)
-    ]
+    found = [sizes_and_spread(drawn(9, seed, spread=truth), TYPICAL, sizes_expected()) for seed in range(5)]
     assert np.exp(np.mean([np.log(differ(spread)) for _, spread in found])) == pytest.approx(factor, rel=0.15)
     wanted = by_drive(sizes_expected())
     for drive in ("bias", "growth"):
@@ -101,17 +99,14 @@ def test_plants_differ_more_in_vigour_where_those_fast_early_are_fast_late() -> 
         """By how much they differ in the mean of both rates, as a standard deviation."""
         truth = np.diag(np.diag(prior_spread()))
         truth[GROWTH, GROWTH[::-1]] = correlation * truth[GROWTH[0], GROWTH[0]]
-        spreads = [
-            sizes_and_spread(drawn(9, seed, spread=truth), TYPICAL, sizes_expected(), prior_spread())[1]
-            for seed in range(3)
-        ]
+        spreads = [sizes_and_spread(drawn(9, seed, spread=truth), TYPICAL, sizes_expected())[1] for seed in range(3)]
         return float(np.mean([np.sqrt(spread[np.ix_(GROWTH, GROWTH)].mean()) for spread in spreads]))
 
     assert in_both(0.9) > 1.1 * in_both(0.0)
 
 
 def test_spreads_are_covariances() -> None:
-    _, spread = sizes_and_spread(drawn(4, 1), TYPICAL, sizes_expected(), prior_spread())
+    _, spread = sizes_and_spread(drawn(4, 1), TYPICAL, sizes_expected())
     assert np.abs(spread - spread.T).max() == 0.0
     assert np.linalg.eigvalsh(spread)[0] > 0.0
 
@@ -149,7 +144,7 @@ def test_the_slope_of_the_likelihood_is_that_of_differences(monkeypatch: pytest.
         return scipy.optimize.OptimizeResult(x=start)
 
     monkeypatch.setattr(scipy.optimize, "minimize", looked_at)
-    _, spread = sizes_and_spread(drawn(2, 8), TYPICAL, sizes_expected(), prior_spread())
+    _, spread = sizes_and_spread(drawn(2, 8), TYPICAL, sizes_expected())
     assert spread == pytest.approx(prior_spread())  # from which it sets out
     (improbability,) = asked
     count = len(PARTS) + len(NAMES) + 1
@@ -169,10 +164,8 @@ def _pushed(offsets: Sequence[Array]) -> list[Linear]:
 
 def test_sizes_stay_within_what_is_possible() -> None:
     m = len(about().offset)
-    quiet = sizes_and_spread(_pushed([np.zeros(m)] * 3), TYPICAL, sizes_expected(), prior_spread())
-    wild = sizes_and_spread(
-        _pushed([100.0 * np.cos(np.arange(m) + i) for i in range(3)]), TYPICAL, sizes_expected(), prior_spread()
-    )
+    quiet = sizes_and_spread(_pushed([np.zeros(m)] * 3), TYPICAL, sizes_expected())
+    wild = sizes_and_spread(_pushed([100.0 * np.cos(np.arange(m) + i) for i in range(3)]), TYPICAL, sizes_expected())
     for sizes, spread in (quiet, wild):
         assert np.isfinite(sizes).all()
         assert np.linalg.eigvalsh(spread)[0] > 0.0

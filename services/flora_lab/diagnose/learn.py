@@ -22,9 +22,6 @@ _ITERATIONS: Final = 5
 _TURNS: Final = 2
 _HOPELESS: Final = 50.0
 """Nats: of laws that were right in the end, the last was 31 behind after the first round."""
-_WORSE_A_RUN: Final = 25.0
-"""Nats by which plants fit worse under a law, with what happened by chance under the one before, for it to be given up
-at once: of laws that were so much worse, none came nearer than 96 behind in evidence over nine runs."""
 _CATCHES_UP: Final = 0.2
 """Share of what a law is behind that its second round must make up for, for a third one to be worth its time."""
 _FAR_WORSE: Final = 2.0
@@ -84,7 +81,7 @@ def learned_from(
         rival: :attr:`Learned.evidence` of the best law so far.
         on_round: told of each of :data:`ROUNDS`.
     """
-    best = so_far = _carried_on(scenes, start, _FIRST_ITERATIONS, _WORSE_A_RUN if rival > -np.inf else np.inf)
+    best = so_far = _carried_on(scenes, start, _FIRST_ITERATIONS)
     on_round()
     is_hopeful = best.evidence > rival - _HOPELESS
     for _ in range(ROUNDS - 1):
@@ -106,18 +103,13 @@ def learned_by(scenes: Sequence[Scene], whole: Learned, kept: Sequence[int]) -> 
     return _together(runs, base, fits, parts)
 
 
-def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int, worse: float = np.inf) -> Learned:
-    """One round more: each run's plant, what plants have in common, and what happens by chance about them.
-
-    Where plants are worse by so many nats a run than they were, the rest is not worth its time: no evidence is told.
-    """
+def _carried_on(scenes: Sequence[Scene], so_far: Learned, iterations: int) -> Learned:
+    """One round more: each run's plant, what plants have in common, and what happens by chance about them."""
     alone = so_far.base.of_single_runs()
     runs = [ready(scene, alone, one, together=0) for scene, one in zip(scenes, so_far.parts, strict=True)]
     starts = so_far.fits or [Joint([one], alone).null() for one in runs]
     fits = [Joint([one], alone).fit(old, iterations) for one, old in zip(runs, starts, strict=True)]
     fits = _from_the_middle(runs, alone, fits)
-    if sum(fit.misfit for fit in fits) > sum(fit.misfit for fit in starts) + worse * len(runs):
-        return replace(so_far, fits=fits, evidence=-np.inf)
     parts = [
         chance.covariances(scene, scene.answers(fit.traits[0], Change()))
         for scene, fit in zip(scenes, fits, strict=True)
@@ -173,9 +165,8 @@ def _population(runs: Sequence[Linear], base: Base) -> Base:
     """What is known of plants after some runs; what is typical and how plants differ take turns."""
     known = prior_mean(), _known_doubt()
     mean, _ = marginal.typical(runs, base.sizes, base.spread, known)
-    sizes, spread = base.sizes, base.spread
     for _ in range(_TURNS):
-        sizes, spread = marginal.sizes_and_spread(runs, mean, sizes, spread)
+        sizes, spread = marginal.sizes_and_spread(runs, mean, base.sizes)
         mean, doubt = marginal.typical(runs, sizes, spread, known)
     return replace(base, mean=mean, spread=spread, doubt=doubt, sizes=sizes)
 

@@ -95,16 +95,16 @@ def evidence(runs: Sequence[Linear], mean: Array, sizes: Array, spread: Array) -
     return total
 
 
-def sizes_and_spread(runs: Sequence[Linear], mean: Array, sizes: Array, spread: Array) -> tuple[Array, Array]:
+def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple[Array, Array]:
     """How large what happens by chance is, shape (parts,), and how plants differ, covariance of shape (9, 9).
 
     Args:
         runs: of plants of one kind.
         mean: constants of the typical one, shape (9,).
-        sizes, spread: to begin with.
+        start: sizes to begin with, shape (parts,).
     """
     count = len(PARTS)
-    expected = _differ_of(prior_spread())
+    expected = _differ_expected()
     middle = np.log(np.concatenate([sizes_expected(), expected]))
     precision = _precision()
     least = np.maximum(_LEAST * sizes_expected(), [part.least for part in PARTS])
@@ -128,7 +128,7 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, sizes: Array, spread: 
 
     found = scipy.optimize.minimize(
         improbability,
-        np.clip(np.log(np.concatenate([sizes, _differ_of(spread)])), low, high),
+        np.clip(np.concatenate([np.log(start), np.log(expected)]), low, high),
         jac=True,
         method="L-BFGS-B",
         bounds=list(zip(low, high, strict=True)),
@@ -149,7 +149,8 @@ def _like_inverse(root: Array) -> Array:
 # Plants differ in each constant by itself, and in both rates of growth together: ten standard deviations.
 
 
-def _differ_of(spread: Array) -> Array:
+def _differ_expected() -> Array:
+    spread = prior_spread()
     together = spread[_RATES[0], _RATES[1]]
     own = np.diag(spread).copy()
     own[_RATES] -= together
