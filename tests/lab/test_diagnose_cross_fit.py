@@ -14,7 +14,7 @@ from flora_lab.diagnose.claims import claims_of
 from flora_lab.diagnose.cross_fit import FOLDS, LEAST_RUNS, ROUNDS, learn_from
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import FIRST
-from flora_lab.diagnose.knowledge import TRIED, Knowledge
+from flora_lab.diagnose.knowledge import LOOKED_FOR, Knowledge
 from flora_lab.effects.law_forms import AS_WRITTEN
 from flora_lab.threads import one_blas_thread
 
@@ -31,8 +31,8 @@ def not_alike() -> Knowledge:
 
 def in_folds(nats: Sequence[float]) -> Knowledge:
     """As much for a sag in each fold."""
-    folds = np.full((FOLDS, len(TRIED)), -1.0)
-    folds[:, TRIED.index(SAG)] = nats
+    folds = np.full((FOLDS, len(LOOKED_FOR)), -1.0)
+    folds[:, LOOKED_FOR.index(SAG)] = nats
     return replace(known(), cross_fit=folds)
 
 
@@ -41,7 +41,7 @@ def claim(one: Knowledge, runs: int = 3) -> float:
 
 
 def test_healthy_runs_show_next_to_nothing_in_each_other() -> None:
-    assert known().cross_fit.shape == (FOLDS, len(TRIED))
+    assert known().cross_fit.shape == (FOLDS, len(LOOKED_FOR))
     assert known().cross_fit.max() < FIRST
     assert claim(known()) < FIRST + 1.0
 
@@ -82,8 +82,8 @@ def test_more_is_asked_of_the_cause_that_was_found_in_any_fold() -> None:
 
 def test_a_cause_has_no_name_where_healthy_runs_show_as_much_of_it() -> None:
     scenes = scenes_of((84, 85), {"camera_roll": {"angle_deg": 5.0}})
-    folds = np.zeros((FOLDS, len(TRIED)))
-    folds[1, TRIED.index("camera_roll")] = 300.0
+    folds = np.zeros((FOLDS, len(LOOKED_FOR)))
+    folds[1, LOOKED_FOR.index("camera_roll")] = 300.0
     with one_blas_thread():
         as_usual, doubted = (Explainer(scenes, one) for one in (known(), replace(known(), cross_fit=folds)))
         stage = as_usual.first_stage()
@@ -104,6 +104,6 @@ def test_too_few_runs_are_not_held_out() -> None:
     told: list[int] = []
     with one_blas_thread():
         few = learn_from(scenes_of(REFERENCE[:3]), told.append)
-    assert few.cross_fit.shape == (0, len(TRIED))
+    assert few.cross_fit.shape == (0, len(LOOKED_FOR))
     assert claim(few) >= FIRST
     assert told == [*range(1, ROUNDS + 1)]

@@ -142,7 +142,7 @@ def test_a_pot_that_was_tipped_is_not_told_as_a_rolled_camera_with_confidence() 
     assert rolled.confidence > 0.9
     told, other = beside_a_knock([rolled, sagging])
     assert told.confidence == 0.3
-    assert told.evidence.endswith("So does a pot that was tipped.")
+    assert told.evidence.endswith("A pot that was tipped looks like that, too.")
     assert told.parameters == rolled.parameters
     assert other == sagging
     assert verdict_of([told], NONE_LEFT, is_knocked=True) == "unexplained"

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD
-from flora_lab.diagnose.knowledge import TRIED, Knowledge
+from flora_lab.diagnose.knowledge import LOOKED_FOR, Knowledge
 
 _DOUBT: Final = 8.0
 """Nats that are needed besides, for each e-fold by which healthy runs show the law to be worse than was expected."""
@@ -83,7 +83,7 @@ def _doubts(known: Knowledge) -> Mapping[str, float]:
     if not len(known.cross_fit):
         return {}
     beyond = known.cross_fit.max(axis=0) - _BY_CHANCE
-    return dict(zip(TRIED, np.clip(_FOUND_OF_ONE * beyond, 0.0, _MOST_DOUBT_OF_ONE).tolist(), strict=True))
+    return dict(zip(LOOKED_FOR, np.clip(_FOUND_OF_ONE * beyond, 0.0, _MOST_DOUBT_OF_ONE).tolist(), strict=True))
 
 
 def _doubt_of(known: Knowledge) -> float:

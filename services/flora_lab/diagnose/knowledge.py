@@ -23,7 +23,7 @@ from flora_lab.effects.law_forms import LAWS, Law
 from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 
-TRIED: Final = tuple(effect.name for effect in CATALOGUE if effect.forms)
+LOOKED_FOR: Final = tuple(effect.name for effect in CATALOGUE if effect.forms)
 """Causes that are looked for."""
 _STEPS: Final = 8
 _PARTS: Final = 6
@@ -49,8 +49,8 @@ class Knowledge:
         residuals: what the base gets wrong about its own runs.
         law: the forms of the law that its plants are under; none where it is as it is written.
         pushes: what has no name and healthy runs show all the same.
-        cross_fit: nats for each of :data:`TRIED` in reference runs by what the others tell, shape (folds, causes); no
-            folds where they are too few. See :mod:`flora_lab.diagnose.cross_fit`.
+        cross_fit: nats for each of :data:`LOOKED_FOR` in reference runs by what the others tell, shape (folds, causes);
+            no folds where they are too few. See :mod:`flora_lab.diagnose.cross_fit`.
     """
 
     base: Base
@@ -61,7 +61,7 @@ class Knowledge:
     residuals: ReferenceResiduals
     law: tuple[Extension, ...] = ()
     pushes: UsualPushes = field(default_factory=no_pushes)
-    cross_fit: Array = field(default_factory=lambda: np.zeros((0, len(TRIED))))
+    cross_fit: Array = field(default_factory=lambda: np.zeros((0, len(LOOKED_FOR))))
 
 
 def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:

@@ -16,8 +16,7 @@ from flora_lab.diagnose import chance, residuals, usual_errors
 from flora_lab.diagnose.courses import TRIED
 from flora_lab.diagnose.inputs import FEWEST_REFERENCES
 from flora_lab.diagnose.joint import TRAITS, Base
-from flora_lab.diagnose.knowledge import TRIED as TRIED_CAUSES
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.knowledge import LOOKED_FOR, Knowledge
 from flora_lab.diagnose.rhythm import Swings
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.usual_pushes import COLUMNS, UsualPushes
@@ -49,12 +48,12 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "push_mean": (len(TRIED), COLUMNS),
     "push_doubt": (len(TRIED), COLUMNS, COLUMNS),
     "push_scatter": (len(TRIED),),
-    "cross_fit": (None, len(TRIED_CAUSES)),
+    "cross_fit": (None, len(LOOKED_FOR)),
 }
 _NAMES: Final[Mapping[str, list[str] | list[int]]] = {
     "causes": list(usual_errors.causes()),
     "kinds": list(usual_errors.columns()),
-    "tried": list(TRIED_CAUSES),
+    "tried": list(LOOKED_FOR),
     "pushes": [f"{drive} {course.where}" for drive, course in TRIED],
 }
 """What rows and columns of these stand for."""

@@ -176,7 +176,7 @@ def beside_a_knock(causes: Sequence[NamedCause]) -> list[NamedCause]:
         msgspec.structs.replace(
             cause,
             confidence=min(cause.confidence, _UNSURE),
-            evidence=f"{cause.evidence} So does a pot that was tipped.",
+            evidence=f"{cause.evidence} A pot that was tipped looks like that, too.",
         )
         if cause.effect in TIPPED
         else cause

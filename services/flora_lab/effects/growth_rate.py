@@ -6,8 +6,6 @@ from typing import Final
 
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
 
-BENDING: Final = ("photoception_per_cm_h", "graviception_per_cm_h", "proprioception_per_h")
-
 
 def growing(change: Change, v: Values) -> None:
     """Elongation alone."""
@@ -17,16 +15,18 @@ def growing(change: Change, v: Values) -> None:
 
 def acting(change: Change, v: Values) -> None:
     """Elongation and bending, as one activity."""
-    growing(change, v)
-    for rate in BENDING:
-        change.times(rate, v["factor"])
+    _with_bending(change, v, 1.0)
 
 
 def partly(change: Change, v: Values) -> None:
     """Bending by the root of what elongation is: between the two."""
+    _with_bending(change, v, 0.5)
+
+
+def _with_bending(change: Change, v: Values, power: float) -> None:
     growing(change, v)
-    for rate in BENDING:
-        change.times(rate, v["factor"] ** 0.5)
+    for rate in ("photoception_per_cm_h", "graviception_per_cm_h", "proprioception_per_h"):
+        change.times(rate, v["factor"] ** power)
 
 
 def sentence(v: Values) -> str:
