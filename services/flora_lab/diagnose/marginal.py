@@ -18,6 +18,7 @@ import scipy.optimize
 from flora_common.arrays import Array
 from flora_lab.diagnose.chance import PARTS, sizes_expected
 from flora_lab.diagnose.joint import TRAITS
+from flora_lab.diagnose.packed import Root, add_product, all_packed, diagonal
 from flora_lab.diagnose.scene import START_SD
 from flora_lab.simulator.tropism_traits import NAMES, prior_spread
 
@@ -110,20 +111,15 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
     least = np.maximum(_LEAST * sizes_expected(), [part.least for part in PARTS])
     low = np.concatenate([np.log(least), np.log(expected) - _FARTHEST])
     high = np.concatenate([np.log(_MOST * sizes_expected()), np.log(expected) + _FARTHEST])
-    told = [(run, run.residual(mean), _along(run)) for run in runs]
+    told = [_Told.of(run, mean) for run in runs]
 
     def improbability(log_sizes: Array) -> tuple[float, Array]:
-        sizes = np.exp(log_sizes)
-        variances, spread = sizes**2, _spread_of(sizes[count:])
         slope = precision @ (log_sizes - middle)
         total = 0.5 * float((log_sizes - middle) @ slope)
-        for run, residual, along in told:
-            root = scipy.linalg.cholesky(run.covariance(sizes[:count], spread), lower=True, check_finite=False)
-            pull = scipy.linalg.cho_solve((root, True), residual, check_finite=False)
-            total += float(np.log(np.diag(root)).sum() + 0.5 * residual @ pull)
-            away = _like_inverse(root) - np.outer(pull, pull)
-            slope[:count] += variances[:count] * (run.parts.reshape(count, -1) @ away.ravel("K"))
-            slope[count:] += variances[count:] * np.sum(along * (away @ along), axis=0)
+        for run in told:
+            one, uphill = run.improbability(np.exp(log_sizes))
+            total += one
+            slope += uphill
         return total, slope
 
     found = scipy.optimize.minimize(
@@ -137,13 +133,52 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
     return np.exp(found.x[:count]), _spread_of(np.exp(found.x[count:]))
 
 
-def _like_inverse(root: Array) -> Array:
-    """A triangle that is as good as the inverse of a covariance with this lower root wherever both its sides meet the
-    same: in quadratic forms, and in sums of products with what is symmetric."""
-    lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
-    lower *= 2.0
-    lower[np.diag_indices_from(lower)] *= 0.5
-    return np.asarray(lower)
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """A run as the search for sizes needs it.
+
+    Attributes:
+        residual: about the typical plant, shape (m, 1).
+        parts: packed, see :attr:`Linear.parts`, shape (parts, m (m + 1) / 2).
+        along: what a unit of each way to differ does to features, shape (m, 10).
+        first: what one standard deviation of the first stem does, shape (m, 2).
+        diagonal: of packed matrices.
+    """
+
+    residual: Array
+    parts: Array
+    along: Array
+    first: Array
+    diagonal: Array
+
+    @classmethod
+    def of(cls, run: Linear, mean: Array) -> _Told:
+        residual, slopes = run.residual(mean), run.slopes
+        along = np.column_stack([slopes[:, :TRAITS], slopes[:, _RATES].sum(axis=1)])
+        first = slopes[:, TRAITS:] * START_SD
+        return cls(residual[:, None], all_packed(run.parts), along, first, diagonal(len(residual)))
+
+    def improbability(self, sizes: Array) -> tuple[float, Array]:
+        """Minus the logarithm of the run's probability, up to a constant, and its slope by the logarithms of sizes.
+
+        Args:
+            sizes: of what happens by chance, and of how plants differ, shape (parts + 10,).
+        """
+        variances = sizes**2
+        count = len(self.parts)
+        covariance = variances[:count] @ self.parts
+        add_product(covariance, np.hstack([self.along * sizes[count:], self.first]), 1.0)
+        covariance[self.diagonal] *= 1.0 + _ROUNDING
+        root = Root(covariance, self.diagonal)
+        solved = root.solved(np.hstack([self.residual, self.along]))
+        pull, along = solved[:, :1], solved[:, 1:]
+        total = root.log_determinant() + 0.5 * float(np.sum(self.residual * pull))
+        away = add_product(root.inverse(), pull, -1.0)
+        # Both triangles count, and the diagonal once.
+        away *= 2.0
+        away[self.diagonal] *= 0.5
+        differ = np.sum(self.along * along, axis=0) - (pull.T @ self.along)[0] ** 2
+        return total, variances * np.concatenate([self.parts @ away, differ])
 
 
 # Plants differ in each constant by itself, and in both rates of growth together: ten standard deviations.
@@ -162,11 +197,6 @@ def _precision() -> Array:
     own = np.full((TRAITS, TRAITS), _DIFFER**2) + _DIFFER_IN_ONE**2 * np.eye(TRAITS)
     doubts = np.diag([part.doubt**2 for part in PARTS])
     return np.linalg.inv(scipy.linalg.block_diag(doubts, own, _DIFFER_IN_VIGOUR**2))
-
-
-def _along(run: Linear) -> Array:
-    """What a unit of each does to a run's features, shape (m, 10)."""
-    return np.column_stack([run.slopes[:, :TRAITS], run.slopes[:, _RATES].sum(axis=1)])
 
 
 def _spread_of(differ: Array) -> Array:
