@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose_runs import base, known, scene_of, scenes_of, stem, still, turns
+from diagnose_runs import LAW, STEP_S, base, known, run_of, scene_of, scenes_of, stem, still, turns
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, search
@@ -15,10 +16,11 @@ from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
-from flora_lab.diagnose.joint import Joint, ready
-from flora_lab.diagnose.scene import Lanes
+from flora_lab.diagnose.joint import Found, Joint, ready
+from flora_lab.diagnose.scene import Answers, Lanes, Scene
 from flora_lab.diagnose.summary import summary
-from flora_lab.diagnose.unnamed import Unnamed, fitted
+from flora_lab.diagnose.unnamed import Unnamed, fitted, looked_at
+from flora_lab.diagnose.usual_pushes import no_pushes
 from flora_lab.diagnose.verdict import left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
@@ -37,6 +39,17 @@ def explained(which: str) -> Explanation:
     scenes = [scene_of(seed, hours=HOURS, besides=HIDDEN[which]) for seed in (84, 85)]
     with one_blas_thread():
         return Explainer(scenes, known()).explain()
+
+
+def looked_from(scenes: list[Scene]) -> tuple[Joint, Found, list[Scene], list[Answers]]:
+    """Runs as they are where nothing is taken to be wrong, and what moves them there."""
+    runs = [
+        ready(scene, base(), chance.covariances(scene, scene.answers(base().mean, Change())), together=2)
+        for scene in scenes
+    ]
+    joint = Joint(runs, base())
+    null = joint.fit(joint.null(), 12)
+    return joint, null, scenes, [scene.answers(t, Change()) for scene, t in zip(scenes, null.traits, strict=True)]
 
 
 def course_of(where: str) -> Course:
@@ -87,16 +100,49 @@ def test_no_name_is_given_with_confidence_to_what_has_none(which: str) -> None:
     assert left.unnamed.words in summary(causes, left)
 
 
+def tied(seed: int) -> Scene:
+    """A plant that a string keeps near the middle: where its tip was at each full hour pulls at it for the next."""
+    pull, run = np.zeros(round(HOURS) + 1), run_of(seed, hours=HOURS)
+    for hour in range(1, len(pull)):
+        x_cm = float(run.points_cm[round(hour * 3600.0 / STEP_S), -1, 0])
+        pull[hour] = -0.06 * np.sign(x_cm) * max(abs(x_cm) - 0.7, 0.0)
+        run = run_of(seed, hours=HOURS, besides={"bias": lambda hour_h: pull[hour_h.astype(int)]})
+    return Scene(run, LAW, None)
+
+
+def test_a_string_that_holds_stems_is_seen() -> None:
+    joint, null, scenes, answers = looked_from([tied(seed) for seed in (84, 85)])
+    looks = looked_at(joint, null, scenes, answers, no_pushes())
+    held = next(look for look in looks if look.course.holds)
+    assert held.gain > 14.0
+    assert held.words.startswith("something holds stems back")
+    assert "off the middle" in held.words
+
+
+@pytest.mark.slow
+def test_a_string_is_told_before_any_cause() -> None:
+    with one_blas_thread():
+        explanation = Explainer([tied(seed) for seed in (84, 85)], known()).explain()
+    assert explanation.unnamed is not None
+    assert explanation.unnamed.course.holds
+    left = left_of(explanation, known())
+    assert verdict_of(named(explanation, left), left) == "unexplained"
+
+
+def test_nothing_holds_stems_by_pushing_them_away() -> None:
+    """What pushes to the right has pushed most where the tip is farther to the right."""
+    joint, null, scenes, answers = looked_from(scenes_of((86, 87), {"draught": {"drive_per_cm_h": 0.02}}))
+    looks = looked_at(joint, null, scenes, answers, no_pushes())
+    away = [look for look in looks if look.course.holds and look.size[0] <= 0.0]
+    assert away
+    assert all(look.gain == -np.inf for look in away)
+    pushed = replace(away[0], gain=20.0)
+    assert fitted(joint, null, pushed).gain == -np.inf
+
+
 def test_something_besides_is_weighed_as_a_cause_would_be() -> None:
     """A steady push is a cause with one number: both ways to its evidence and its size."""
-    scenes = scenes_of((86, 87), {"draught": {"drive_per_cm_h": 0.02}})
-    runs = [
-        ready(scene, base(), chance.covariances(scene, scene.answers(base().mean, Change())), together=2)
-        for scene in scenes
-    ]
-    joint = Joint(runs, base())
-    null = joint.fit(joint.null(), 12)
-    answers = [scene.answers(traits, Change()) for scene, traits in zip(scenes, null.traits, strict=True)]
+    joint, null, _, answers = looked_from(scenes_of((86, 87), {"draught": {"drive_per_cm_h": 0.02}}))
     cause = Cause(BY_NAME["draught"])
     (push,) = cause.parameters
     told = joint.beside(null, [own.to["bias"].sum(axis=1)[:, None] for own in answers])
@@ -108,13 +154,7 @@ def test_something_besides_is_weighed_as_a_cause_would_be() -> None:
 def test_what_is_large_is_fitted_about_its_own_size() -> None:
     """An answer to light that falls to a fifth is far from linear about one that never does."""
     lower = {"gain": lambda hour: -0.8 * (hour > 24.0)}
-    scenes = [scene_of(seed, hours=HOURS, besides=lower) for seed in (84, 85)]
-    runs = [
-        ready(scene, base(), chance.covariances(scene, scene.answers(base().mean, Change())), together=2)
-        for scene in scenes
-    ]
-    joint = Joint(runs, base())
-    null = joint.fit(joint.null(), 12)
+    joint, null, _, _ = looked_from([scene_of(seed, hours=HOURS, besides=lower) for seed in (84, 85)])
     course = course_of("from 24 h")
     look = Unnamed("gain", course, 20.0, np.array([-0.3]))
     found = fitted(joint, null, look)
@@ -163,10 +203,16 @@ def test_courses_are_of_the_order_of_one_and_none_is_another(course: Course) -> 
 @pytest.mark.parametrize(
     ("drive", "where", "size", "words"),
     [
-        ("gain", "where the tip", [-0.4], "the answer to light is some 40 % lower where the tip is far off the middle"),
+        (
+            "gain",
+            "where the tip is far off",
+            [-0.4],
+            "the answer to light is some 40 % lower where the tip is far off the middle",
+        ),
         ("growth", "from 30 h", [0.25], "growth is some 25 % higher from 30 h after the start on"),
         ("growth", "from 30 h", [-1.4], "growth is much lower from 30 h after the start on"),
         ("bias", "from 30 h", [-0.01], "something bends stems to the left from 30 h after the start on"),
+        ("bias", "where the tip is farther left than 0.7 cm", [0.05], "something holds stems back where the tip is"),
         ("gain", "in a rhythm", [0.0, 0.5], "the answer to light is some 50 % higher in a rhythm of 24 h, most 6 h"),
     ],
 )

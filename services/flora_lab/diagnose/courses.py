@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 _OFF_CM: Final = 3.0
 _LEAN_CM: Final = 5.0
 _BESIDE_CM: Final = 2.0
+_HELD_CM: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
+_GIVES_CM: Final = 0.5
+_STRETCHED_CM: Final = 2.0
 _MIDDLE_HEIGHT_CM: Final = 13.0
 _HEIGHT_CM: Final = 8.0
 _HISTORY_H: Final = 6.0
@@ -60,11 +63,14 @@ class Course:
         where: in words, after "lower" or "higher".
         drives: that may follow it; others that do are causes of the catalogue.
         of: the course at some moments, shape (k, columns).
+        holds: whether it is of something that stems lean against or hang from, which pushes them back to the middle and
+            nowhere else: sizes are positive.
     """
 
     where: str
     drives: tuple[str, ...]
     of: Callable[[Moments], Array]
+    holds: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +103,18 @@ def _day(at: Moments) -> Array:
 
 def _farther(side: float) -> Callable[[Moments], Array]:
     return _column(lambda at: np.maximum(side * at.x_cm - _BESIDE_CM, 0.0) / _LEAN_CM)
+
+
+def _held(at_cm: float, sides: tuple[float, ...]) -> Callable[[Moments], Array]:
+    """What a wall pushes, at most: as much as it takes, within what it gives and points are off."""
+    return _column(
+        lambda at: np.sum([-side * np.clip((side * at.x_cm - at_cm) / _GIVES_CM, 0.0, 1.0) for side in sides], axis=0)
+    )
+
+
+def _tied(slack_cm: float) -> Callable[[Moments], Array]:
+    """What a string pulls, the more the farther off the middle the tip is; no tip on one goes far."""
+    return _column(lambda at: -np.sign(at.x_cm) * np.clip(np.abs(at.x_cm) - slack_cm, 0.0, _STRETCHED_CM))
 
 
 def _after(hour_h: float) -> Callable[[Moments], Array]:
@@ -138,6 +156,17 @@ COURSES: Final = (
             _farther(side),
         )
         for name, side in _SIDES
+    ),
+    *(
+        Course(f"where the tip is farther {name} than {at_cm:g} cm", ("bias",), _held(at_cm, sides), holds=True)
+        for at_cm in _HELD_CM
+        for name, sides in (*((name, (side,)) for name, side in _SIDES), ("off the middle", (-1.0, 1.0)))
+    ),
+    *(
+        Course(
+            f"for each cm that the tip is farther off the middle than {at_cm:g} cm", ("bias",), _tied(at_cm), holds=True
+        )
+        for at_cm in _HELD_CM
     ),
     Course(
         f"for each {_HEIGHT_CM:.0f} cm that the tip is higher",

@@ -10,7 +10,7 @@ and Kutz (2016) take for unknown dynamics, with one term.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -62,6 +62,8 @@ class Unnamed:
             size, where = float(np.hypot(*self.size)), f"{self.course.where}, most {peak_h:.0f} h after the start"
         else:
             size, where = float(self.size[0]), self.course.where
+        if self.course.holds:
+            return f"something holds stems back {where}"
         if self.drive == "bias":
             return f"something bends stems to the {'right' if size > 0.0 else 'left'} {where}"
         subject = "the answer to light is" if self.drive == "gain" else "growth is"
@@ -105,7 +107,7 @@ def looked_at(
         drive, course = TRIED[which]
         sd, as_usual = SIZE[drive], usual.nats(which, told, len(scenes))
         nats = told.nats(sd**2 * np.eye(len(told.pull))) - LOOKED - as_usual
-        out.append(Unnamed(drive, course, nats, told.size(sd), as_usual))
+        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), as_usual)))
     return sorted(out, key=lambda one: -one.gain)
 
 
@@ -117,7 +119,12 @@ def fitted(joint: Joint, before: Found, look: Unnamed) -> Unnamed:
     hypothesis = Hypothesis((*before.hypothesis.causes, cause))
     fit = joint.fit(Found(hypothesis, start, before.traits.copy(), before.start.copy()), _STEPS)
     gain, size = evidence_for_last(before, fit) - look.usual, hypothesis.shares(fit.coordinates)[-1]
-    return Unnamed(look.drive, look.course, gain, size, look.usual)
+    return _possible(Unnamed(look.drive, look.course, gain, size, look.usual))
+
+
+def _possible(told: Unnamed) -> Unnamed:
+    """Without evidence where it would push stems away that it can only hold."""
+    return replace(told, gain=-np.inf) if told.course.holds and not (told.size > 0.0).all() else told
 
 
 def _effect(look: Unnamed) -> Effect:
