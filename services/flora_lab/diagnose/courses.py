@@ -30,6 +30,7 @@ _HISTORY_H: Final = 6.0
 _AFTER_SWITCH_H: Final = 2.0
 _EVERY_H: Final = 6.0
 _SPELL_H: Final = 12.0
+_SPELLS_H: Final = (6.0, 12.0, 18.0)
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
 _SIDES: Final = (("left", -1.0), ("right", 1.0))
@@ -121,8 +122,8 @@ def _after(hour_h: float) -> Callable[[Moments], Array]:
     return _column(lambda at: (at.time_h > hour_h).astype(np.float64))
 
 
-def _spell(from_h: float) -> Callable[[Moments], Array]:
-    return _column(lambda at: ((at.time_h > from_h) & (at.time_h <= from_h + _SPELL_H)).astype(np.float64))
+def _spell(from_h: float, lasts_h: float) -> Callable[[Moments], Array]:
+    return _column(lambda at: ((at.time_h > from_h) & (at.time_h <= from_h + lasts_h)).astype(np.float64))
 
 
 def _while_lit(side: float, course: Callable[[Moments], Array]) -> Callable[[Moments], Array]:
@@ -186,17 +187,18 @@ COURSES: Final = (
     ),
     *(
         Course(
-            f"from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
+            f"from {hour_h:.0f} to {hour_h + lasts_h:.0f} h after the start",
             ("gain", "growth", "bias"),
-            _spell(hour_h),
+            _spell(hour_h, lasts_h),
         )
-        for hour_h in np.arange(_EVERY_H, 72.0 - _SPELL_H, _EVERY_H)
+        for lasts_h in _SPELLS_H
+        for hour_h in np.arange(_EVERY_H, 72.0 - lasts_h, _EVERY_H)
     ),
     *(
         Course(
             f"while the {name} lamp shines, from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
             ("gain",),
-            _while_lit(side, _spell(hour_h)),
+            _while_lit(side, _spell(hour_h, _SPELL_H)),
         )
         for name, side in _SIDES
         for hour_h in np.arange(_EVERY_H, 72.0 - _SPELL_H, _EVERY_H)

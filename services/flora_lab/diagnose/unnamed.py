@@ -94,7 +94,8 @@ def unnamed(
     """
     looks = looked_at(joint, found, scenes, answers, usual)
     fits = [fitted(joint, found, look) for look in looks[:_FITTED] if look.gain > _WORTH_A_FIT]
-    return max([looks[0], *fits], key=lambda one: one.gain)
+    # What was fitted is not believed beyond that: growth that stops for ten hours is far from linear in anything.
+    return max(fits or looks[:1], key=lambda one: one.gain)
 
 
 def looked_at(
