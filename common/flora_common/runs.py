@@ -137,9 +137,14 @@ class RunFolder:
         self.bus = path / "bus"
 
     @property
+    def place(self) -> Path:
+        """Where it is, where ``path`` is a link to it; no error of links that lead in a circle."""
+        return Path(os.path.realpath(self.path))
+
+    @property
     def name(self) -> str:
         """Its own name, where ``path`` is a link to it."""
-        return self.path.resolve().name
+        return self.place.name
 
     @property
     def names(self) -> frozenset[str]:
@@ -175,12 +180,12 @@ class RunFolder:
         Nor does anything go on in another run, where the path has become a link to one.
 
         Args:
-            place: where ``path`` led to at the start.
+            place: :attr:`place` at the start.
 
         Raises:
             StoreError: the run is no longer where it was, or its disk does not say.
         """
-        if Path(os.path.realpath(self.path)) != place:  # no error of links that lead in a circle
+        if self.place != place:
             raise StoreError(f"{self.path} leads to another run than at the start; restart the services for that")
         try:
             is_there = self.run_toml.is_file()

@@ -98,7 +98,7 @@ class Store:
 
     def __init__(self, run: RunFolder) -> None:
         self._run = run
-        self._place = run.path.resolve()
+        self._place = run.place
         self.run_name = run.name
         self.last: FrameRecord | None = None
         self.taken = 0

@@ -158,7 +158,7 @@ def task_of(run_file: RunFile | None, run: RunFolder) -> tuple[Target | None, Ob
 
 def run_identity(run: RunFolder, run_file: RunFile | None) -> str:
     """Names the run that a stored state belongs to: another folder, start or task is another run."""
-    parts: list[object] = [str(run.path.resolve())]
+    parts: list[object] = [str(run.place)]
     if run_file is not None:
         parts += [str(run_file.start), msgspec.to_builtins(run_file.target), msgspec.to_builtins(run_file.obstacle)]
     return sha256_of_bytes(msgspec.json.encode(parts))[:16]

@@ -133,8 +133,8 @@ class World:
         return self.root / str(path).lstrip("/") if Path(path).is_absolute() else Path(path)
 
     def real(self, path: str | Path) -> Path:
-        """A path of the machine with its links followed."""
-        found = self.at(path).resolve()
+        """A path of the machine with its links followed, as far as they do not lead in a circle."""
+        found = Path(os.path.realpath(self.at(path)))
         root = self.root.resolve()
         return Path("/") / found.relative_to(root) if found.is_relative_to(root) else found
 

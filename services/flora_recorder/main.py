@@ -23,7 +23,7 @@ def place_check(run: RunFolder) -> Callable[[], None]:
     """Asks whether the run is still where it is now; of a folder that is no run's yet, nothing is asked."""
     if not run.run_toml.is_file():
         return lambda: None
-    return functools.partial(run.check_place, run.path.resolve())
+    return functools.partial(run.check_place, run.place)
 
 
 def build(app: App[RecorderSection]) -> None:

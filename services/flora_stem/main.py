@@ -139,7 +139,7 @@ def build(app: App[StemSection]) -> None:
 
 def run_identity(run: RunFolder, run_file: RunFile) -> str:
     """Names the run that a stored state belongs to."""
-    return sha256_of_bytes(f"{run.path.resolve()} {run_file.start}".encode())[:16]
+    return sha256_of_bytes(f"{run.place} {run_file.start}".encode())[:16]
 
 
 def resumed(record: StemRecord, run: RunFolder, run_file: RunFile, section: StemSection) -> StemRecord:

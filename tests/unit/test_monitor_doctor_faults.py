@@ -65,6 +65,12 @@ def used_line(by: str) -> Callable[[Pi], None]:
     return answer("gpiod", Done(0, said + "\n", ""))
 
 
+def link_to_itself(pi: Pi) -> None:
+    link = pi.root / RUN.lstrip("/")
+    link.rename(link.with_name("bean-00"))
+    link.symlink_to(link)
+
+
 def unreadable_key(pi: Pi) -> None:
     pi.write("/etc/flora/keys/ada.pub", "not a key")
 
@@ -89,6 +95,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("programs", loaded(learning=["torch"]), "torch, which belong in the lab"),
     ("programs", loaded(journal=False), "sudo apt install python3-systemd"),
     ("run folder", no_file(f"{RUN}/run.toml"), "has no run.toml"),
+    ("run folder", link_to_itself, "no such run folder"),
     ("run folder", file(f"{RUN}/run.toml", "interval = 3"), "unknown key `interval`; did you mean `interval_s`?"),
     ("run folder", no_file(f"{RUN}/background/dark.jpg"), "flora-stem calibrate --wait"),
     ("run folder", strange_user, "may not be written by user `flora`"),

@@ -51,6 +51,15 @@ def test_run_file_reads_back(tmp_path: Path) -> None:
     assert (target.radius_cm, obstacle.width_cm, obstacle.left_cm) == (2.0, 7.0, pytest.approx(-9.8))
 
 
+def test_a_link_that_leads_to_itself_has_a_name_and_leads_to_no_run(tmp_path: Path) -> None:
+    link = tmp_path / "current"
+    link.symlink_to(link)
+    run = RunFolder(link)
+    assert (run.place, run.name, run.names) == (link, "current", {"current"})
+    with pytest.raises(BadRunFolder, match="no such run folder"):
+        run.read_run_file()
+
+
 def test_tables_read_back(tmp_path: Path) -> None:
     run = make(tmp_path)
     for number in (1, 2, 3):
