@@ -55,6 +55,7 @@ class History:
         self._most = most
         # Replaced when the oldest go, so that no reader sees numbers of the one and rows of the other.
         self._kept = Rows(0, [])
+        self._tick = 0
 
     @property
     def begin(self) -> int:
@@ -74,7 +75,15 @@ class History:
         return Rows(begin, kept.rows[begin - kept.begin :])
 
     def hear(self, stem: Stem) -> None:
-        """A measurement; one that is no later than the last is here already."""
+        """A measurement; one that is no later than the last is here already.
+
+        A later tick at an earlier time is of another run, such as one that was begun under the name of the last:
+        numbers go on, times do not. The rows of the run before go.
+        """
+        if 0 < self._tick < stem.tick and self._kept.rows and stem.time_s < self._kept.rows[-1].time_s:
+            # A number is left out, by which pages that are open see that theirs have gone.
+            self._kept = Rows(self.end + 1, [])
+        self._tick = max(self._tick, stem.tick)
         tip = stem.points_cm[-1] if stem.points_cm else None
         self._add(stem.time_s, stem.light, stem.outcome, tip)
 

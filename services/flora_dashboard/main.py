@@ -9,7 +9,7 @@ from typing import Final
 from flora_common.app import App
 from flora_common.bus import Arrival
 from flora_common.errors import BadRunFolder
-from flora_common.messages import Frame
+from flora_common.messages import Frame, Stem
 from flora_common.runs import RunFile
 from flora_common.service import run_service
 from flora_dashboard.board import Board, as_json
@@ -53,6 +53,7 @@ def build(app: App[DashboardSection]) -> None:
             most_viewers=app.config.viewers,
         ),
     )
+    own = {"", *app.run.names}
     is_live = False
     is_due = False
 
@@ -65,6 +66,9 @@ def build(app: App[DashboardSection]) -> None:
         nonlocal is_due
         message = arrival.message
         if message is None or arrival.verdict != "good" or arrival.rig != app.rig.name:
+            return
+        # The bus keeps the last ones of the run before: neither picture nor stem is of this run's plant.
+        if isinstance(message, Frame | Stem) and message.run not in own:
             return
         board.hear(message, real_s=time.monotonic(), is_live=is_live)
         if isinstance(message, Frame):

@@ -86,6 +86,28 @@ def test_what_the_rig_says_is_on_the_page(bus: Any, page: Page) -> None:
     assert own["ok"]
 
 
+def test_what_is_of_another_run_is_not_on_the_charts(bus: Any, page: Page) -> None:
+    def stem(tick: int, time_s: float, run: str) -> Stem:
+        return Stem(tick=tick, time_s=time_s, outcome="ok", points_cm=POINTS, light="left", run=run)
+
+    def times_s() -> list[float]:
+        return [row[0] for row in json.loads(page.get("/api/history?from=0"))["rows"]]
+
+    bus.start_service("flora-bus")
+    client = bus.client("flora-stem")
+    client.publish(stem(900, 270_000.0, "bean-00"))  # the bus keeps it
+    bus.start_service("flora-dashboard")
+    bus.wait_ready(client, "flora-dashboard")
+    client.publish(stem(901, 300.0, "run"))
+    page.wait(lambda state: "stem" in state["last"])
+    assert times_s() == [0.0, 300.0]
+    before = page.state()["rows_end"]
+    client.publish(stem(902, 100.0, "run"))  # the rows before it are those of a run of that name that was put aside
+    state = page.wait(lambda state: state["last"]["stem"]["message"]["tick"] == 902)
+    assert times_s() == [100.0]
+    assert state["rows_begin"] > before  # pages that are open take it for all that there is
+
+
 def test_it_goes_on_without_a_bus_and_says_so(bus: Any, page: Page) -> None:
     broker = bus.start_service("flora-bus")
     client = bus.client()
