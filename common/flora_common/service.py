@@ -29,6 +29,7 @@ from flora_common.errors import ConfigError
 from flora_common.files import make_folder
 from flora_common.lock import AlreadyHeld, hold
 from flora_common.log import Log, choose_sink
+from flora_common.runs import RunFolder
 
 S = TypeVar("S", bound=msgspec.Struct)
 
@@ -87,7 +88,7 @@ def run_service(
             if getattr(options, _destination(action.flag)):
                 return action.work(rig, config)
         level = logging.DEBUG if options.verbose else logging.WARNING if options.quiet else logging.INFO
-        log = Log(name, choose_sink(), level=level, common={"run": Path(rig.run_dir).name})
+        log = Log(name, choose_sink(), level=level, common={"run": RunFolder(Path(rig.run_dir)).name})
         check(rig, config)
         with _only_one(name, rig):
             clock = make_clock(rig) if make_clock else default_clock(rig)

@@ -35,7 +35,7 @@ def build(app: App[DashboardSection]) -> None:
         app.log.warning("track_not_read", reason=str(problem))
     board = Board(
         app.rig.name,
-        app.run.path.name,
+        app.run.name,
         run_file,
         without,
         clock=app.clock,

@@ -35,7 +35,7 @@ def build(app: App[RecorderSection]) -> None:
         say=app.publish,
         on_gone=lambda sentence: app.trouble("gone", sentence),
         check_place=place_check(app.run),
-        metadata={"run": app.run.path.name, "version": importlib.metadata.version("flora")},
+        metadata={"run": app.run.name, "version": importlib.metadata.version("flora")},
     )
     is_recovered = False
     lost_told = 0

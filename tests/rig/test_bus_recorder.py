@@ -53,6 +53,18 @@ def recording_bus(bus: Any) -> Any:
     return bus
 
 
+def test_a_recording_names_the_run_that_a_link_leads_to(recording_bus: Any) -> None:
+    bus = recording_bus
+    bus.run_dir.with_name("bean-07").mkdir()
+    bus.run_dir.symlink_to("bean-07")
+    recorder = bus.start_service("flora-recorder")
+    bus.wait_ready(bus.client(), "flora-recorder")
+    bus.stop(recorder)
+    reader = RecordingReader(next((bus.run_dir / "bus").glob("*.mcap")))
+    assert len(list(reader)) > 0
+    assert reader.metadata["run"] == "bean-07"
+
+
 def test_records_everything_of_its_rig_and_closes_on_sigterm(recording_bus: Any) -> None:
     bus = recording_bus
     recorder = bus.start_service("flora-recorder")

@@ -108,6 +108,19 @@ def test_what_is_of_another_run_is_not_on_the_charts(bus: Any, page: Page) -> No
     assert state["rows_begin"] > before  # pages that are open take it for all that there is
 
 
+def test_where_run_dir_is_a_link_the_run_has_the_name_that_messages_give_it(bus: Any, page: Page) -> None:
+    bus.run_dir.rename(bus.run_dir.with_name("bean-07"))
+    bus.run_dir.symlink_to("bean-07")
+    bus.start_service("flora-bus")
+    client = bus.client("flora-lab")
+    bus.start_service("flora-dashboard")
+    bus.wait_ready(client, "flora-dashboard")
+    client.publish(Departure(run="bean-07", is_departed=True, sentence="It leans to the right."))
+    state = page.wait(lambda state: "departure" in state["last"])
+    assert state["run"] == "bean-07"
+    assert any("It leans to the right." in one["text"] for one in state["concerns"])
+
+
 def test_it_goes_on_without_a_bus_and_says_so(bus: Any, page: Page) -> None:
     broker = bus.start_service("flora-bus")
     client = bus.client()

@@ -16,12 +16,13 @@ import pytest
 
 from fake_clock import FakeClock
 from flora_bus.main import BusSection
+from flora_common import service as service_module
 from flora_common.app import App
 from flora_common.config import RigSection
 from flora_common.errors import ConfigError
 from flora_common.log import SAME_KIND_S, Log
 from flora_common.messages import Health, Tick
-from flora_common.service import _only_one
+from flora_common.service import _only_one, run_service
 
 SERVICE = """
 import sys
@@ -277,6 +278,22 @@ def test_a_second_one_is_refused_and_a_killed_one_leaves_no_lock(bus: Any, syste
     first.wait()
     service()
     systemd.until("READY=1")
+
+
+def test_log_lines_name_the_run_as_messages_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[dict[str, Any]] = []
+
+    def log(*_: Any, common: dict[str, Any], **__: Any) -> Log:
+        told.append(common)
+        raise ConfigError("enough")
+
+    monkeypatch.setattr(service_module, "Log", log)
+    (tmp_path / "bean-07").mkdir()
+    (tmp_path / "current").symlink_to("bean-07")
+    config = tmp_path / "flora.toml"
+    config.write_text(f'[rig]\nrun_dir = "{tmp_path}/current"\n')
+    assert run_service("flora-bus", BusSection, lambda app: None, argv=["--config", str(config)]) == 2
+    assert told == [{"run": "bean-07"}]
 
 
 def test_a_disk_without_room_keeps_no_service_from_starting_and_no_second_one_in(tmp_path: Path) -> None:
