@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
 from flora_common.errors import BadRunFolder, ConfigError
 from flora_common.runs import RunFolder
+from flora_common.suggest import clipped
 
 
 def device_number(source: str) -> int | None:
-    """The V4L2 camera's number for ``2`` and ``/dev/video2``; None for a film."""
-    device = re.fullmatch(r"(?:/dev/video)?(\d+)", source)
-    return int(device[1]) if device else None
+    """The V4L2 camera's number for ``2``, ``/dev/video2`` and a link to that.
+
+    Links such as those in ``/dev/v4l/by-id`` name the same camera after each start, numbers do not.
+
+    Returns:
+        None for a film, and for a link of a camera that is not plugged in.
+    """
+    device = re.fullmatch(r"\d+", source, re.ASCII) or re.fullmatch(r"/dev/video(\d+)", os.path.realpath(source))
+    return int(device[device.lastindex or 0]) if device else None
+
+
+def is_device(source: str) -> bool:
+    """Whether this names a V4L2 camera, plugged in or not."""
+    return device_number(source) is not None or source.startswith("/dev/")
 
 
 def pictures_of(run: RunFolder) -> list[Path]:
@@ -31,7 +44,8 @@ def pictures_of(run: RunFolder) -> list[Path]:
 
 
 def check_source(backend: str, source: str) -> None:
-    """Refuse a source that no waiting will bring: a film or run folder that is not there or holds nothing.
+    """Refuse a source that no waiting will bring: a film or run folder that is not there or holds nothing, and what is
+    no number of a Pi camera.
 
     A camera that is not plugged in is another matter: it may come.
 
@@ -39,9 +53,14 @@ def check_source(backend: str, source: str) -> None:
         ConfigError: names the source.
     """
     try:
+        if backend == "picamera2" and not re.fullmatch(r"\d*", source, re.ASCII):
+            raise ConfigError(
+                f"[capture] source {clipped(source)}: not the number of a Pi camera, 0 for the first one; "
+                'a USB camera needs backend = "opencv"'
+            )
         if backend == "replay":
             pictures_of(RunFolder(Path(source)))
-        elif backend == "opencv" and device_number(source) is None:
+        elif backend == "opencv" and not is_device(source):
             with Path(source).open("rb") as film:
                 if not film.read(1):
                     raise ConfigError(f"[capture] source {source}: an empty file, not a film")

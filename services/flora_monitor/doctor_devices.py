@@ -35,6 +35,7 @@ with gpiod.Chip(sys.argv[1]) as chip:
     line = chip.get_line_info(int(sys.argv[2]))
     print(json.dumps({"label": chip.get_info().label, "name": line.name, "used": line.used, "by": line.consumer}))
 """
+IS_NUMBER: Final = re.compile(r"\d+", re.ASCII)
 SPI_PINS: Final = frozenset({"D10", "MOSI"})
 PCM_PINS: Final = frozenset({"D21"})
 """Any other pin of the strips is driven by PWM, which the analogue sound output drives too."""
@@ -82,17 +83,22 @@ def check_camera(case: Case) -> str:
 
 
 def _check_usb_camera(case: Case, source: str) -> str:
-    number = re.fullmatch(r"(?:/dev/video)?(\d+)", source)
-    if number is None:
+    # A link, such as those in /dev/v4l/by-id, names the same camera after each start.
+    device = f"/dev/video{source}" if IS_NUMBER.fullmatch(source) else str(case.world.real(source))
+    if not device.startswith("/dev/"):
         if not case.world.at(source).is_file():
             raise Wrong(f"[capture] source {source}: no such film")
         raise NotUsed(f"the film {source} stands for it")
-    device = f"/dev/video{number[1]}"
     _check_device(case, "flora-capture", device, missing="plug the camera in, or change its source")
     return f"{device} is there and may be opened"
 
 
 def _check_pi_camera(case: Case, source: str) -> str:
+    if source and not IS_NUMBER.fullmatch(source):
+        raise Wrong(
+            f"[capture] source {source}: not the number of a Pi camera, 0 for the first one; "
+            'a USB camera needs backend = "opencv"'
+        )
     account = case.account("flora-capture")
     try:
         models: Any = case.ask_json("flora-capture", LIST_CAMERAS)

@@ -65,6 +65,11 @@ def used_line(by: str) -> Callable[[Pi], None]:
     return answer("gpiod", Done(0, said + "\n", ""))
 
 
+def usb_camera(source: str) -> Callable[[Pi], None]:
+    text = f'[capture]\nbackend = "opencv"\nsource = "{source}"\n'
+    return lambda pi: pi.printed.update({"flora-capture": text})
+
+
 def link_to_itself(pi: Pi) -> None:
     link = pi.root / RUN.lstrip("/")
     link.rename(link.with_name("bean-00"))
@@ -106,6 +111,8 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("camera", answer("picamera2", NO_MODULE), "apt install python3-picamera2"),
     ("camera", answer("picamera2", Done(0, "[]\n", "")), "seat the flat cable"),
     ("camera", print_config("flora-capture", '"0"', '"1"'), "there are 1, counted from 0: imx219"),
+    ("camera", print_config("flora-capture", '"0"', '"front"'), "source front: not the number of a Pi camera"),
+    ("camera", usb_camera("/dev/v4l/by-id/usb-video-index0"), "usb-video-index0 is not there: plug the camera in"),
     ("camera", answer("picamera2", Done(None, "", "")), "no answer in time"),
     ("camera", strange_user, "/dev/media0 may not be opened by user `flora`"),
     ("strips", file("/proc/device-tree/model", "A laptop"), "no Raspberry Pi"),
@@ -212,6 +219,15 @@ def test_whoever_may_not_open_a_device_that_the_service_may_is_sent_to_sudo(pi: 
 
     assert finding.verdict == "not looked at"
     assert finding.text.endswith("run this command with sudo")
+
+
+def test_a_link_to_a_usb_camera_is_followed_to_its_device(pi: Pi) -> None:
+    link = pi.root / "dev/v4l/by-id/usb-video-index0"
+    link.parent.mkdir(parents=True)
+    link.symlink_to("../../video0")
+    usb_camera("/dev/v4l/by-id/usb-video-index0")(pi)
+
+    assert pi.findings()["camera"] == Finding("camera", "good", "/dev/video0 is there and may be opened")
 
 
 def test_an_answer_that_is_no_answer_is_not_believed(pi: Pi) -> None:

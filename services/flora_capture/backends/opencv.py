@@ -15,7 +15,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 import cv2
 
 from flora_capture.backends import FilmEnded
-from flora_capture.source import device_number
+from flora_capture.source import device_number, is_device
 from flora_capture.wire import CameraSettings, Request
 from flora_common.errors import BadPicture, CameraGone
 
@@ -34,6 +34,8 @@ class OpenCvCamera:
         device = device_number(settings.source)
         self._is_device = device is not None
         if device is None:
+            if is_device(settings.source):
+                raise CameraGone(f"{settings.source}: no such camera; is it plugged in?")
             if not Path(settings.source).is_file():
                 raise CameraGone(f"{settings.source}: no such video file")
             self._capture = cv2.VideoCapture(settings.source)
