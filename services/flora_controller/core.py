@@ -160,6 +160,10 @@ class ControllerCore:
             return None
         if stem.tick == last.tick and last.command is not None and last.said is not None:
             return last.command, last.said
+        if last.command is not None and stem.time_s < last.command.time_s:
+            # Numbers go on and times do not: a run that was begun under the name of the last, with another plant.
+            self.record = Record(run=last.run)
+            self.use(self._lineup)
         points = usable_points(stem)
         self._judge(stem, points)
         decision, blind = self._decide(stem, points)

@@ -243,6 +243,22 @@ def test_another_controller_keeps_what_the_plant_did_and_drops_what_the_other_on
     assert (record.tick, record.collided_at_s, record.light) == (2, 300.0, "right")
 
 
+def test_a_run_under_the_name_of_the_one_before_is_steered_and_judged_by_itself() -> None:
+    def again(tick: int) -> Stem:
+        return msgspec.structs.replace(stem(tick, y_cm=3.0), time_s=300.0 * (tick - 3))
+
+    before = core("waypoint")
+    before.on_stem(stem(1, x_cm=-6.0, y_cm=12.0))
+    before.on_stem(stem(2, x_cm=-5.1, y_cm=18.0))
+    made, fresh = core("waypoint", record=before.record), core("waypoint")
+    assert made.record.collided_at_s is not None
+
+    for tick in (3, 4):
+        assert made.on_stem(again(tick)) == fresh.on_stem(again(tick))
+
+    assert made.record == fresh.record
+
+
 # Networks
 
 
