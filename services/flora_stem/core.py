@@ -85,6 +85,7 @@ class StemCore:
         before = self._before(frame.tick)
         if before is not None or frame.tick < self.record.tick:
             return before
+        self._forget_another_run(frame.time_s)
         if self._finder is None:
             reading = no_stem(self._why_not)
         else:
@@ -123,10 +124,17 @@ class StemCore:
         before = self._before(missed.tick)
         if before is not None or missed.tick < self.record.tick:
             return before
+        self._forget_another_run(missed.time_s)
         reason = f"no photograph ({missed.because}): {missed.reason}"
         stem = Stem(tick=missed.tick, time_s=missed.time_s, outcome="no_frame", reason=as_sentence(reason))
         self.record = msgspec.structs.replace(self.record, tick=stem.tick, stem=stem)
         return Answer(stem)
+
+    def _forget_another_run(self, time_s: float) -> None:
+        """Numbers go on; where times do not, the run was begun under the name of the last, with another plant."""
+        last = self.record.stem
+        if last is not None and time_s < last.time_s:
+            self.record = StemRecord(run=self.record.run)
 
     def _before(self, tick: int) -> Answer | None:
         last = self.record.stem

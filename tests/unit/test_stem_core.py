@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from stem_fakes import HEIGHT, WIDTH, Box, empty, jpeg, with_stem
@@ -124,6 +125,22 @@ def test_a_tip_that_jumps_is_named_and_not_written(box: Box) -> None:
     assert (jumped.outcome, after.outcome) == ("jumped", "ok")
     assert len(jumped.points_cm) == 10
     assert box.times() == [300.0, 900.0]
+
+
+@pytest.mark.parametrize("is_missed", [False, True])
+def test_a_plant_under_the_name_of_the_run_before_is_not_followed_from_the_one_before(
+    box: Box, is_missed: bool
+) -> None:
+    box.answer(box.frame(1, jpeg(with_stem(6.0, 14.0)), time_s=90_000.0))
+    box.run.track_csv.unlink()
+    box.start()
+    if is_missed:
+        box.core.on_missed(msgspec.structs.replace(missed(2), time_s=0.0))
+
+    found = box.answer(box.frame(3, jpeg(with_stem(0.0, 4.0)), time_s=300.0))
+
+    assert found.outcome == "ok"
+    assert box.times() == [300.0]
 
 
 def test_what_was_odd_about_the_photograph_is_told(box: Box) -> None:
