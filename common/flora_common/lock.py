@@ -76,7 +76,11 @@ def _opened(path: Path) -> int:
     try:
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as problem:
-        if problem.errno != errno.EROFS:
+        if problem.errno not in (errno.EROFS, errno.EACCES):
             raise
-        # A card at its end is mounted read-only; the kernel locks a file that can only be read, too.
-        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        # A card at its end is mounted read-only, and a service that somebody has tried with sudo leaves its lock to
+        # root; the kernel locks a file that can only be read, too.
+        try:
+            return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            raise problem from None  # it says what is wrong with the folder where there is no such file

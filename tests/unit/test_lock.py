@@ -60,8 +60,9 @@ def test_a_killed_holder_holds_nothing(tmp_path: Path) -> None:
     os.close(hold(path))
 
 
-def test_on_a_disk_that_became_read_only_it_is_held_all_the_same(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("refusal", [errno.EROFS, errno.EACCES])
+def test_on_a_disk_that_became_read_only_and_left_to_root_it_is_held_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refusal: int
 ) -> None:
     path = tmp_path / "lock"
     path.write_text("an older holder\n")
@@ -69,7 +70,7 @@ def test_on_a_disk_that_became_read_only_it_is_held_all_the_same(
 
     def read_only(name: Path, flags: int, mode: int = 0o777) -> int:
         if flags & (os.O_RDWR | os.O_CREAT):
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+            raise OSError(refusal, os.strerror(refusal))
         return really(name, flags, mode)
 
     monkeypatch.setattr(os, "open", read_only)
@@ -77,7 +78,7 @@ def test_on_a_disk_that_became_read_only_it_is_held_all_the_same(
     with pytest.raises(AlreadyHeld):
         hold(path)
     os.close(first)
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(OSError, match=os.strerror(refusal)):
         hold(tmp_path / "another")
 
 
