@@ -17,7 +17,7 @@ from flora_common.runs import RunFile
 from flora_common.signing import LARGEST_KEY_FILE, PUBLIC_SUFFIX, read_trusted_keys
 from flora_monitor.doctor_case import Case, ControllerKeys, UploaderKeys
 from flora_monitor.doctor_nas import Looked
-from flora_monitor.doctor_world import NotLookedAt, NotUsed, World, Wrong
+from flora_monitor.doctor_world import Account, NotLookedAt, NotUsed, World, Wrong
 
 DAY_S: Final = 86_400.0
 ENOUGH_DAYS: Final = 7.0
@@ -32,6 +32,13 @@ PICTURES_WEIGHED: Final = 50
 MOST_FILES_READ: Final = 200
 CARD_WORN: Final = 0x0B
 """``life_time`` of an eMMC in tenths of its life from 1; above ten tenths (JEDEC 84-B51)."""
+
+WRITES: Final = {
+    "flora-capture": ("frames", "frames.jsonl", "frames.csv"),
+    "flora-recorder": ("bus",),
+    "flora-stem": ("track.csv",),
+}
+"""What services add to in a run folder. A service that somebody tried with sudo leaves them to root."""
 
 
 def check_run(case: Case) -> str:
@@ -55,19 +62,27 @@ def check_run(case: Case) -> str:
 
 def _unwritable(case: Case) -> str:
     folder = Path(case.rig.run_dir)
-    for service in ("flora-capture", "flora-recorder", "flora-stem"):
+    for service, names in WRITES.items():
         account = case.account(service)
-        if not account.may(case.world.at(folder).stat(), write=True):
-            return (
-                f"{folder} may not be written by user `{account.name}`, as whom {service} runs: "
-                f"sudo chown -R {account.name} {folder}"
-            )
+        for path in (folder, *(folder / name for name in names)):
+            if _is_kept_from(account, case.world.at(path)):
+                return (
+                    f"{path} may not be written by user `{account.name}`, as whom {service} runs: "
+                    f"sudo chown -R {account.name} {folder}"
+                )
         unit = case.units.get(service)
         if unit is not None and unit.is_loaded and not unit.may_write(case.world.real(folder)):
             return (
                 f"{folder} is read-only for {service}: move it below /var/lib/flora, or add ReadWritePaths= to its unit"
             )
     return ""
+
+
+def _is_kept_from(account: Account, path: Path) -> bool:
+    try:
+        return not account.may(path.stat(), write=True)
+    except FileNotFoundError:
+        return False  # it will make it
 
 
 def bytes_per_day(case: Case) -> float:

@@ -60,6 +60,10 @@ def strange_user(pi: Pi) -> None:
     pi.accounts["flora"] = STRANGER
 
 
+def of_root(name: str) -> Callable[[Pi], None]:
+    return lambda pi: pi.write(f"{RUN}/{name}", "").chmod(0o644)
+
+
 def used_line(by: str) -> Callable[[Pi], None]:
     said = json.dumps({"label": "pinctrl-bcm2711", "name": "GPIO17", "used": True, "by": by})
     return answer("gpiod", Done(0, said + "\n", ""))
@@ -104,6 +108,8 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("run folder", file(f"{RUN}/run.toml", "interval = 3"), "unknown key `interval`; did you mean `interval_s`?"),
     ("run folder", no_file(f"{RUN}/background/dark.jpg"), "flora-stem calibrate --wait"),
     ("run folder", strange_user, "may not be written by user `flora`"),
+    ("run folder", of_root("frames.csv"), "frames.csv may not be written by user `flora`, as whom flora-capture runs"),
+    ("run folder", of_root("track.csv"), "track.csv may not be written by user `flora`, as whom flora-stem runs"),
     ("run folder", unit("flora-stem.service", "ReadWritePaths", ""), "read-only for flora-stem"),
     ("bus", field("heard", Heard(False)), "systemctl start flora-rig.target"),
     ("bus", field("heard", only("degraded", "no camera")), "not well: flora-led degraded (no camera)"),
