@@ -26,6 +26,8 @@ JPEG_BYTES_PER_PX: Final = 0.5
 """Of a photograph, before the first one is there: on the large side."""
 RECORDED_BYTES_PER_DAY: Final = 30e6
 """Messages and tables, most of it the health of eight services every ten seconds."""
+FILES_PER_DAY: Final = 300
+"""A photograph every five minutes, recordings, tables."""
 USUAL_PICTURE_PX: Final = 1640 * 1232
 USUAL_INTERVAL_S: Final = 300.0
 PICTURES_WEIGHED: Final = 50
@@ -117,6 +119,12 @@ def check_disk(case: Case) -> str:
     figures = f"{room.free_bytes / 1e9:.1f} GB free for {folder}, {days:.0f} days at {a_day / 1e6:.0f} MB a day"
     if days < ENOUGH_DAYS:
         raise Wrong(f"{figures}; {ENOUGH_DAYS:g} are wanted: free some space, or take a larger disk")
+    files = ENOUGH_DAYS * FILES_PER_DAY
+    if room.free_files is not None and room.free_files < files:
+        raise Wrong(
+            f"{folder} has places for {counted(room.free_files, 'more file')} (`df -i`), {files:g} are wanted: "
+            "something has filled its disk with small files; remove them"
+        )
     return figures
 
 

@@ -93,11 +93,16 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A file system: bytes that a service can still write, and the device number that ``stat`` gives."""
+    """A file system: what a service can still write, and the device number that ``stat`` gives.
+
+    Attributes:
+        free_files: new files beside what is there; None where it does not count them.
+    """
 
     free_bytes: int
     is_read_only: bool
     device: int
+    free_files: int | None = None
 
 
 class Run(Protocol):
@@ -227,7 +232,8 @@ def run_child(command: Sequence[str], *, account: Account | None = None, deadlin
 def room_of(path: Path) -> Room:
     """The file system that holds an existing path."""
     found = os.statvfs(path)
-    return Room(found.f_bavail * found.f_frsize, bool(found.f_flag & os.ST_RDONLY), path.stat().st_dev)
+    is_read_only, free_files = bool(found.f_flag & os.ST_RDONLY), found.f_favail if found.f_files else None
+    return Room(found.f_bavail * found.f_frsize, is_read_only, path.stat().st_dev, free_files)
 
 
 def _me() -> Account:

@@ -27,9 +27,14 @@ FreeResult = Literal["freed", "gone", "changed", "not_at_target", "kept"]
 
 
 def disk_percent_free(folder: Path) -> float:
-    """How much of the disk that a folder is on is free for those who are not root (statvfs)."""
+    """How much of the disk that a folder is on is free for those who are not root (statvfs).
+
+    Of its room for content or of its places for files, whichever is less: one without places takes no photograph.
+    """
     found = os.statvfs(folder)
-    return 100.0 * found.f_bavail / found.f_blocks if found.f_blocks else 100.0
+    room = 100.0 * found.f_bavail / found.f_blocks if found.f_blocks else 100.0
+    places = 100.0 * found.f_favail / found.f_files if found.f_files else 100.0  # FAT and btrfs do not count them
+    return min(room, places)
 
 
 def may_be_freed(entry: Entry, now_ns: int) -> bool:

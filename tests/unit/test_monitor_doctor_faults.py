@@ -144,6 +144,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("clock", field("is_synchronised", False), "timedatectl set-ntp true"),
     ("disk", field("room", Room(1_000_000_000, False, 1)), "7 are wanted: free some space"),
     ("disk", field("room", Room(20_000_000_000, True, 1)), "is read-only"),
+    ("disk", field("room", Room(20_000_000_000, False, 1, 50)), "places for 50 more files (`df -i`), 2100 are wanted"),
     ("disk", file("/proc/self/mountinfo", MOUNTS), "lies in memory (tmpfs)"),
     ("disk", file("/sys/fs/ext4/mmcblk0p2/errors_count", "3\n"), "counts 3 errors"),
     ("disk", file("/sys/block/mmcblk0/device/life_time", "0x0b 0x02\n"), "end of its life"),

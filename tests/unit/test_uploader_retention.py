@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from uploader_fakes import DAY_NS, Bench, Killed, sha
 
 from flora_common.errors import NasUnreachable
 from flora_uploader.config import UploaderSection
+from flora_uploader.retention import disk_percent_free
 
 
 @pytest.fixture
@@ -27,6 +29,17 @@ def old(bench: Bench, number: int, data: bytes, days: int = 3) -> str:
 
 def in_spool(bench: Bench) -> set[str]:
     return {str(path.relative_to(bench.run)) for path in bench.run.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("places", "left", "percent"), [(1000, 20, 2.0), (1000, 900, 40.0), (0, 0, 40.0)], ids=["few", "many", "uncounted"]
+)
+def test_a_disk_without_places_for_files_is_as_full_as_one_without_room(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, places: int, left: int, percent: float
+) -> None:
+    disk = os.statvfs_result((4096, 4096, 100, 45, 40, places, left, left, 0, 255))
+    monkeypatch.setattr(os, "statvfs", lambda folder: disk)
+    assert disk_percent_free(tmp_path) == pytest.approx(percent)
 
 
 def test_verified_photographs_make_room_oldest_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
