@@ -202,8 +202,12 @@ def checked_rig_name(name: str) -> str:
 def _tables(path: Path | None) -> tuple[Path, dict[str, Any]]:
     if path is None:
         path = DEFAULT_CONFIG
-        if not path.exists():
+        try:
+            path.stat()
+        except (FileNotFoundError, NotADirectoryError):
             return path, {}
+        except OSError:
+            pass  # who reads it is told
     tables = read_toml(path, ConfigError)
     for name, table in tables.items():
         if name not in SECTIONS:
