@@ -4,6 +4,7 @@
     ├── BadInput               exit status 2: the caller gave something that cannot be used
     │   ├── ConfigError        the TOML configuration
     │   ├── BadRunFolder       run.toml, frames.csv, track.csv, background/
+    │   │   └── NotPermitted   the run folder may be a good one, for another user
     │   ├── BadPicture         an image that is torn, empty, of the wrong size, or not what was announced
     │   ├── BadController      a controller file that must not steer a plant
     │   └── BadMessage         bytes from the bus that are not a message of the catalogue
@@ -43,6 +44,10 @@ class ConfigError(BadInput):
 
 class BadRunFolder(BadInput):
     """A file of a run folder is missing or cannot be used."""
+
+
+class NotPermitted(BadRunFolder):
+    """Whoever asks may not look into the run folder; for another user it may be a good one."""
 
 
 class BadPicture(BadInput):

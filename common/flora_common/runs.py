@@ -21,7 +21,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from flora_common import files
-from flora_common.errors import BadRunFolder, StoreError
+from flora_common.errors import BadRunFolder, NotPermitted, StoreError
 from flora_common.rig_name import RigName
 from flora_common.shapes import FARTHEST_CM, STEM_POINTS, Obstacle, Target
 from flora_common.suggest import clipped, did_you_mean
@@ -159,7 +159,7 @@ class RunFolder:
 
         Raises:
             BadRunFolder: missing, not TOML, unknown keys, numbers out of range; or its disk or server does not say.
-            PermissionError: the caller may not look into it.
+            NotPermitted: the caller may not look into it.
         """
         try:
             if not self.path.is_dir():
@@ -167,8 +167,9 @@ class RunFolder:
                 raise BadRunFolder(f"{self.path}: {what}")
             if not self.run_toml.is_file():
                 raise BadRunFolder(f"{self.path}: not a run folder, it has no run.toml")
-        except PermissionError:
-            raise  # it may be a good one, for another user
+        except PermissionError as problem:
+            told = f"{self.path}: may not be looked into by this user; for services: sudo chown -R flora {self.path}"
+            raise NotPermitted(told) from problem
         except OSError as problem:  # pathlib takes few of them for no
             raise BadRunFolder(f"{self.path}: cannot be looked at ({problem.strerror}); check its disk") from problem
         table = read_toml(self.run_toml, BadRunFolder)

@@ -12,7 +12,7 @@ import msgspec
 from flora_common.config import DEFAULT_CONFIG
 from flora_common.controller_file import SUFFIX
 from flora_common.counted import counted
-from flora_common.errors import BadInput, BadRunFolder
+from flora_common.errors import BadInput, BadRunFolder, NotPermitted
 from flora_common.runs import RunFile
 from flora_common.signing import LARGEST_KEY_FILE, PUBLIC_SUFFIX, read_trusted_keys
 from flora_monitor.doctor_case import Case, ControllerKeys, UploaderKeys
@@ -48,6 +48,8 @@ def check_run(case: Case) -> str:
     name, run = case.rig.run_dir, case.run
     try:
         about = run.read_run_file()
+    except NotPermitted as problem:
+        raise NotLookedAt(f"{name}: Permission denied; run this command with sudo") from problem
     except BadRunFolder as problem:
         raise Wrong(f"{problem}; docs/reference/run-folder.md says what it needs") from problem
     unwritable = _unwritable(case)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import os
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -21,7 +22,7 @@ LAST_QUIET_MS: Final = 100
 
 def place_check(run: RunFolder) -> Callable[[], None]:
     """Asks whether the run is still where it is now; of a folder that is no run's yet, nothing is asked."""
-    if not run.run_toml.is_file():
+    if not os.path.isfile(run.run_toml):  # noqa: PTH113 - of one that is closed to us the first file tells
         return lambda: None
     return functools.partial(run.check_place, run.place)
 

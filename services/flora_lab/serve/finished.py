@@ -97,5 +97,5 @@ def _plant(path: Path) -> str:
     folder = RunFolder(path)
     try:
         return folder.read_run_file().plant.strip() or path.name
-    except (BadInput, PermissionError):
+    except BadInput:
         return path.name  # what is wrong with the run file the diagnosis says

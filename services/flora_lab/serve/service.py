@@ -79,7 +79,7 @@ class Rig:
         """Where they hang, if the run folder is there already."""
         try:
             return RunFolder(self.runs_dir / run).read_run_file().lamps
-        except (BadInput, PermissionError):
+        except BadInput:
             return None
 
 
