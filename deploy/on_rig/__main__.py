@@ -96,7 +96,7 @@ def _write_default_config(bundle: Path) -> None:
 
 
 def _run_dir() -> Path:
-    table = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
+    table = tomllib.loads(CONFIG.read_text(encoding="utf-8-sig"))  # as the services read it, byte order mark or not
     return Path(table.get("rig", {}).get("run_dir", DEFAULT_RUN_DIR))
 
 

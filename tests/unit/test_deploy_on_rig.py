@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -341,3 +342,11 @@ def test_only_who_was_well_before_must_be_well_again(
 def test_without_a_trial_there_is_nothing_to_decide(rig: OnRig) -> None:
     rig.trial.decide()
     assert rig.ran == []
+
+
+def test_the_run_folder_is_found_in_a_configuration_that_the_services_read(rig: OnRig, tmp_path: Path) -> None:
+    config = tmp_path / "flora.toml"
+    config.write_bytes('\ufeff[rig]\r\nrun_dir = "/data/bean-01"\r\n'.encode())
+    find = runpy.run_path(str(ON_RIG / "__main__.py"), run_name="installer")["_run_dir"]
+    find.__globals__["CONFIG"] = config
+    assert find() == Path("/data/bean-01")
