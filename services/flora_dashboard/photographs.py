@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,9 @@ from flora_common.messages import Frame
 MOST_BYTES: Final = 50_000_000
 REMEMBERED: Final = 4
 """A page that has just been told of one may ask for it when the next is here."""
+
+
+_Stamp = tuple[str, int, int, int]
 
 
 class NotThere(FloraError):
@@ -27,6 +31,8 @@ class Photographs:
 
     def __init__(self, run: Path) -> None:
         self._run = run
+        self._reading = threading.Lock()
+        self._kept: tuple[_Stamp, bytes] | None = None
         # Replaced as a whole, so that no reader sees half a change.
         self._frames: tuple[Frame, ...] = ()
 
@@ -35,7 +41,9 @@ class Photographs:
         self._frames = (frame, *others)[:REMEMBERED]
 
     def read(self, sha256: str) -> bytes:
-        """The JPEG with this hash.
+        """The JPEG with this hash; the same object for all who ask for the same one.
+
+        One at a time reads: a picture has megabytes, and a hundred browsers may ask for it at once.
 
         Raises:
             NotThere: it was not announced of late, is gone, lies outside of the run folder, or is another file now.
@@ -47,11 +55,22 @@ class Photographs:
             path = (self._run / frame.path).resolve(strict=True)
             if not path.is_relative_to(self._run.resolve(strict=True)):
                 raise NotThere(f"{frame.path} does not lie in the run folder")
-            if path.stat().st_size != frame.bytes or frame.bytes > MOST_BYTES:
+            status = path.stat()
+            if status.st_size != frame.bytes or frame.bytes > MOST_BYTES:
                 raise NotThere(f"{frame.path} is not the file that was announced")
-            data = path.read_bytes()
+            with self._reading:
+                data = self._content(path, (sha256, status.st_ino, status.st_mtime_ns, status.st_ctime_ns))
         except OSError as problem:
             raise NotThere(f"{frame.path}: cannot be read ({problem.strerror})") from problem
-        if sha256_of_bytes(data) != sha256:
+        if data is None:
             raise NotThere(f"{frame.path} is not the file that was announced")
         return data
+
+    def _content(self, path: Path, stamp: _Stamp) -> bytes | None:
+        """Of a file, where it has the stamp's hash."""
+        if self._kept is None or self._kept[0] != stamp:
+            data = path.read_bytes()
+            if sha256_of_bytes(data) != stamp[0]:
+                return None
+            self._kept = stamp, data
+        return self._kept[1]

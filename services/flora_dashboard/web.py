@@ -28,6 +28,7 @@ PAGE: Final = Path(__file__).parent / "page"
 KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 SIGN_OF_LIFE_S: Final = 10.0
 """So often something is sent, so that a page, and whatever lies between, sees that the line is alive."""
+PIECE_BYTES: Final = 1 << 16
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -126,7 +127,8 @@ def make_app(latest: Latest, photographs: Photographs, rows_since: Callable[[int
             data = await run_in_threadpool(photographs.read, request.path_params["sha256"])
         except NotThere as problem:
             return PlainTextResponse(f"{problem}\n", 404)
-        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=86400, immutable"})
+        headers = {"Cache-Control": "private, max-age=86400, immutable", "Content-Length": str(len(data))}
+        return StreamingResponse(_pieces(data), media_type="image/jpeg", headers=headers)
 
     routes = [
         Route("/api/state", state),
@@ -136,6 +138,13 @@ def make_app(latest: Latest, photographs: Photographs, rows_since: Callable[[int
         *(Route("/" if name == "index.html" else f"/{name}", _file(*file)) for name, file in files.items()),
     ]
     return _WithHeaders(Starlette(routes=routes))
+
+
+async def _pieces(data: bytes) -> AsyncIterator[bytes]:
+    """A piece when the one before has gone out: what a slow browser has not taken yet is not copied for it."""
+    for start in range(0, len(data), PIECE_BYTES):
+        yield data[start : start + PIECE_BYTES]
+        await asyncio.sleep(0)  # else nobody would notice that the browser has hung up, and each piece be a line of log
 
 
 def _file(content: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]:

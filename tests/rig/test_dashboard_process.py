@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import signal
 import socket
+import struct
 import subprocess
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -134,6 +138,40 @@ def test_it_goes_on_without_a_bus_and_says_so(bus: Any, page: Page) -> None:
     client.publish(Tick(tick=9, time_s=2700.0))
     bus.hear(client, lambda heard: any(isinstance(one.message, Tick) for one in heard))
     page.wait(lambda state: state["last"].get("tick", {}).get("message", {}).get("tick") == 9)
+
+
+def test_browsers_that_do_not_take_their_photograph_cost_no_copy_each(bus: Any, page: Page) -> None:
+    def resident_mib() -> int:
+        return int(Path(f"/proc/{service.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") >> 20
+
+    bus.start_service("flora-bus")
+    client = bus.client("flora-capture")
+    service = bus.start_service("flora-dashboard")
+    bus.wait_ready(client, "flora-dashboard")
+    data = b"\xff\xd8" + bytes(8_000_000)
+    (bus.run_dir / "frames").mkdir()
+    (bus.run_dir / "frames/000001.jpg").write_bytes(data)
+    client.publish(announced("frames/000001.jpg", data, 1))
+    path = f"/photographs/{page.wait(lambda state: state['photograph'])['photograph']['sha256']}"
+    assert page.get(path) == data
+    before_mib = resident_mib()
+    with contextlib.ExitStack() as browsers:
+        for _ in range(40):
+            browser = browsers.enter_context(socket.socket())
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            browser.connect(("127.0.0.1", page.port))
+            browser.sendall(f"GET {path} HTTP/1.1\r\nHost: rig\r\n\r\n".encode())
+            assert browser.recv(4) == b"HTTP"
+        assert page.get(path) == data
+        assert resident_mib() - before_mib < 80  # a copy each would be 300
+    for _ in range(10):
+        with socket.create_connection(("127.0.0.1", page.port)) as browser:
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # hangs up at once
+            browser.sendall(f"GET {path} HTTP/1.1\r\nHost: rig\r\n\r\n".encode())
+            assert browser.recv(4) == b"HTTP"
+    assert page.get(path) == data
+    _, _, err = bus.stop(service)
+    assert "raised exception" not in err  # a line of log for each piece that found nobody any more
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
