@@ -189,7 +189,8 @@ def install(rig: Rig) -> int:
             shutil.rmtree(folder / "wheels")
         print(f"release    {name}", flush=True)
         there = f"{INCOMING}/{name}"
-        unpack = f"rm -rf {there} && mkdir -p {there} && tar -C {there} -xf -"
+        # Half of it, where the connection breaks, would lie there for ever: the next release has another name.
+        unpack = f"rm -rf {there} && mkdir -p {there} && tar -C {there} -xf - || {{ rm -rf {there}; exit 1; }}"
         with subprocess.Popen(
             ["tar", "-C", scratch, "--owner=0", "--group=0", "--mode=go-w,a+rX", "-cf", "-", "."],
             stdout=subprocess.PIPE,

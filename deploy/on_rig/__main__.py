@@ -27,11 +27,13 @@ DEFAULT_RUN_DIR = "/var/lib/flora/runs/current"
 def install(bundle: Path) -> None:
     """Make the release that is in ``bundle``, and switch to it."""
     name = releases.read_bundle(bundle)["release"]
-    install_packages([*PACKAGES, *(PACKAGES_OF_A_PI if is_pi() else ())])
-    releases.build(bundle, name)
-    units.install_machine_files(name)
-    _write_default_config(bundle)
-    remove_tree(bundle)
+    try:
+        install_packages([*PACKAGES, *(PACKAGES_OF_A_PI if is_pi() else ())])
+        releases.build(bundle, name)
+        units.install_machine_files(name)
+        _write_default_config(bundle)
+    finally:
+        remove_tree(bundle)  # hundreds of megabytes, which the next try brings anew, mostly under another name
     try:
         releases.check(name, CONFIG)
     except Failed as problem:

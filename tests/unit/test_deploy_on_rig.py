@@ -344,6 +344,26 @@ def test_without_a_trial_there_is_nothing_to_decide(rig: OnRig) -> None:
     assert rig.ran == []
 
 
+def test_an_installation_that_fails_leaves_no_bundle_on_the_card(rig: OnRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    bundle = rig.opt / "incoming/0.1.0-x"
+    bundle.mkdir(parents=True)
+    (bundle / "release.json").write_text('{"release": "0.1.0-x"}')
+    other = rig.opt / "incoming/no-bundle"
+    other.mkdir()
+
+    def no_room(bundle: Path, name: str) -> None:
+        raise rig.machine.Failed("No space left on device")
+
+    monkeypatch.setattr(rig.releases, "build", no_room)
+    install = runpy.run_path(str(ON_RIG / "__main__.py"), run_name="installer")["install"]
+    install.__globals__["install_packages"] = lambda names: None
+    with pytest.raises(rig.machine.Failed, match="No space left"):
+        install(bundle)
+    with pytest.raises(rig.machine.Refused, match="not a bundle"):
+        install(other)
+    assert list((rig.opt / "incoming").iterdir()) == [other]
+
+
 def test_the_run_folder_is_found_in_a_configuration_that_the_services_read(rig: OnRig, tmp_path: Path) -> None:
     config = tmp_path / "flora.toml"
     config.write_bytes('\ufeff[rig]\r\nrun_dir = "/data/bean-01"\r\n'.encode())
