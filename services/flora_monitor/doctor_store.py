@@ -68,6 +68,12 @@ def _unwritable(case: Case) -> str:
     folder = Path(case.rig.run_dir)
     for service, names in WRITES.items():
         account = case.account(service)
+        for outer in reversed(folder.parents[:-1]):
+            if not account.may_enter(case.world.at(outer).stat()):
+                return (
+                    f"{outer} may not be entered by user `{account.name}`, as whom {service} runs: "
+                    f"sudo chgrp {account.name} {outer} && sudo chmod g+rx {outer}"
+                )
         for path in (folder, *(folder / name for name in names)):
             if _is_kept_from(account, case.world.at(path)):
                 return (

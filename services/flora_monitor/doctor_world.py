@@ -63,11 +63,15 @@ class Account:
 
     def may(self, status: os.stat_result, *, write: bool) -> bool:
         """Whether the mode of a file or folder lets this account read it, or read and write it (no access lists)."""
-        if self.uid == 0:
-            return True
-        wanted = 0o6 if write else 0o4
+        return self._has(status, 0o6 if write else 0o4)
+
+    def may_enter(self, status: os.stat_result) -> bool:
+        """Whether the mode of a folder lets this account at what is in it."""
+        return self._has(status, 0o1)
+
+    def _has(self, status: os.stat_result, wanted: int) -> bool:
         shift = 6 if status.st_uid == self.uid else 3 if status.st_gid in self.groups else 0
-        return status.st_mode >> shift & wanted == wanted
+        return self.uid == 0 or status.st_mode >> shift & wanted == wanted
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,6 +64,10 @@ def of_root(name: str) -> Callable[[Pi], None]:
     return lambda pi: pi.write(f"{RUN}/{name}", "").chmod(0o644)
 
 
+def closed_runs(pi: Pi) -> None:
+    (pi.root / RUN.lstrip("/")).parent.chmod(0o700)
+
+
 def used_line(by: str) -> Callable[[Pi], None]:
     said = json.dumps({"label": "pinctrl-bcm2711", "name": "GPIO17", "used": True, "by": by})
     return answer("gpiod", Done(0, said + "\n", ""))
@@ -108,6 +112,7 @@ WRONG: list[tuple[str, Callable[[Pi], None], str]] = [
     ("run folder", file(f"{RUN}/run.toml", "interval = 3"), "unknown key `interval`; did you mean `interval_s`?"),
     ("run folder", no_file(f"{RUN}/background/dark.jpg"), "flora-stem calibrate --wait"),
     ("run folder", strange_user, "may not be written by user `flora`"),
+    ("run folder", closed_runs, "/var/lib/flora/runs may not be entered by user `flora`, as whom flora-capture runs"),
     ("run folder", of_root("frames.csv"), "frames.csv may not be written by user `flora`, as whom flora-capture runs"),
     ("run folder", of_root("track.csv"), "track.csv may not be written by user `flora`, as whom flora-stem runs"),
     ("run folder", unit("flora-stem.service", "ReadWritePaths", ""), "read-only for flora-stem"),
