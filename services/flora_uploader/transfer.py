@@ -31,6 +31,10 @@ SYNC_BYTES: Final = 4 << 20
 crosses a link of 1 Mbit/s within the watchdog's minute, and most photographs are smaller and flushed once."""
 
 
+LONGEST_TOLD_BYTES: Final = 120
+"""Of a file's name in that of its temporary one. File systems take 255 bytes, encrypted folders of a NAS 143."""
+
+
 class SourceGone(StoreError):
     """The file is no longer in the spool."""
 
@@ -93,9 +97,11 @@ Steps = Generator[None, None, Verified]
 
 
 def temporary_path(destination: str, temporary_id: str) -> str:
-    """``.<name>.<id>.part`` in the same folder."""
+    """``.<name>.<id>.part`` in the same folder; of a long name its hash stands there, so that it is a name, too."""
     path = PurePosixPath(destination)
-    return str(path.with_name(f".{path.name}{_temporary_end(temporary_id)}"))
+    name = os.fsencode(path.name)
+    told = path.name if len(name) <= LONGEST_TOLD_BYTES else hashlib.sha256(name).hexdigest()[:32]
+    return str(path.with_name(f".{told}{_temporary_end(temporary_id)}"))
 
 
 def is_temporary_name(name: str, temporary_id: str) -> bool:

@@ -17,7 +17,7 @@ from flora_uploader.ledger_model import Found
 from flora_uploader.main import main
 from flora_uploader.policy import Backoff, Waits, disk_alert, is_of_record, is_photograph, kind_of
 from flora_uploader.target import FolderTarget, store_error
-from flora_uploader.transfer import Order, SourceDamaged, SourceUnreadable, temporary_path, transfer
+from flora_uploader.transfer import Order, SourceDamaged, SourceUnreadable, is_temporary_name, temporary_path, transfer
 
 
 @pytest.fixture
@@ -90,6 +90,15 @@ def test_an_abandoned_transfer_leaves_nothing(nas: Path, tmp_path: Path) -> None
     steps.close()
     target.disconnect()
     assert not list((nas / "run").iterdir())
+
+
+@pytest.mark.parametrize("name", ["n" * 251 + ".txt", "ä" * 125 + ".txt"])
+def test_a_file_with_the_longest_name_that_there_is_arrives(nas: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"x")
+    temporary = Path(temporary_path(f"run/{name}", "0badcafe")).name
+    assert is_temporary_name(temporary, "0badcafe")
+    send(nas, tmp_path / name, f"run/{name}")
+    assert [path.name for path in (nas / "run").iterdir()] == [name]
 
 
 def test_something_else_under_the_name_is_told(nas: Path, tmp_path: Path) -> None:
