@@ -7,6 +7,7 @@ wrong key of the bus it tries for ever and hears nothing.
 
 from __future__ import annotations
 
+import os
 import struct
 import time
 from typing import Any, Final
@@ -33,6 +34,7 @@ STILL_AFTER_S: Final = 10.0
 """Seconds that whoever looks for the bus waits where nobody listens, and where somebody does who says nothing yet: on a
 busy machine the bus may stand still for some seconds."""
 
+_IN_MACHINE: Final = "ipc:///"
 _IN_PROCESS: Final = "inproc:"
 _EVENT: Final = struct.Struct("=hi")
 _REFUSED: Final = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
@@ -74,6 +76,26 @@ def connect(socket: zmq.Socket[bytes], endpoint: str) -> None:
         raise ConfigError(
             f"{endpoint}: nothing can be looked for there ({zmq.strerror(problem.errno or 0)}); tcp://HOST:PORT or ipc:///FILE"
         ) from problem
+
+
+def closed_to_us(endpoint: str) -> str:
+    """Why this user may not connect to a socket of this machine, in a sentence; empty where it may, or there is none.
+
+    ZeroMQ tries for ever and says nothing, as where nobody listens.
+    """
+    if not endpoint.startswith(_IN_MACHINE):
+        return ""
+    path = endpoint.removeprefix("ipc://")
+    try:
+        os.stat(path)  # noqa: PTH116 - a path of a configuration may be of any form
+    except PermissionError:
+        pass
+    except (OSError, ValueError):
+        return ""
+    else:
+        if os.access(path, os.W_OK):
+            return ""
+    return f"{endpoint} may not be opened by this user: use sudo, or `sudo usermod -aG flora NAME` once and log in anew"
 
 
 class _Watched:
@@ -184,9 +206,11 @@ class Handshakes:
 
     @property
     def hindrance(self) -> str:
-        """Why a bus that is there has not answered, in a sentence; empty where nobody listens."""
-        if self.problem or not self._is_met:
+        """Why a bus that may be there has not answered, in a sentence; empty where nobody listens."""
+        if self.problem:
             return self.problem
+        if not self._is_met:
+            return next(filter(None, (closed_to_us(watched.endpoint) for watched in self._watched)), "")
         there = self._watched[0].endpoint
         return f"the bus at {there} does not answer: it hangs, or its machine is too busy; look again in a minute"
 

@@ -44,12 +44,12 @@ class Finding:
 def check_bus(case: Case) -> str:
     """The bus answers, and every service that must be there is ready."""
     where = case.rig.bus_subscribe
-    if case.heard.hindrance:
-        raise Wrong(case.heard.hindrance)
     if not case.heard.is_there:
         if where.startswith("ipc:///"):
             # Raises where the caller may not look into the folder: the bus may well be there.
             case.world.at(where.removeprefix("ipc://")).exists()
+        if case.heard.hindrance:
+            raise Wrong(case.heard.hindrance)
         if case.is_virtual:
             start = "flora-twin demo starts a virtual rig"
         else:

@@ -170,7 +170,7 @@ class Line:
         while not self.bus.connected:
             if time.monotonic() > give_up_s:
                 nobody = f"no answer from the bus in {BUS_WITHIN_S:g} s; is flora-bus running?"
-                raise BusUnreachable(self.bus.refusal or nobody)
+                raise BusUnreachable(self.bus.hindrance or nobody)
             kept += self.wait(0.1)
         return kept
 

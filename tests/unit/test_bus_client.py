@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -163,6 +166,30 @@ def test_a_bus_that_has_gone_is_noticed_and_one_that_has_come_back(tmp_path: Pat
         assert not client.connected
     finally:
         wire.close()
+
+
+@pytest.mark.parametrize("is_folder", [True, False])
+def test_sockets_that_this_user_may_not_open_are_not_taken_for_no_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_folder: bool
+) -> None:
+    really = os.stat
+
+    def refusing(path: Any, *arguments: Any, **options: Any) -> os.stat_result:
+        if is_folder and tmp_path in Path(path).parents:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return really(path, *arguments, **options)
+
+    address = BusAddress(f"ipc://{tmp_path}/publish", f"ipc://{tmp_path}/subscribe")
+    client = BusClient(address, rig="test", source="flora-monitor", clock=FakeClock())
+    try:
+        assert client.hindrance == ""  # nobody is there
+        for name in ("publish", "subscribe"):
+            (tmp_path / name).touch()
+        monkeypatch.setattr(os, "stat", refusing)
+        monkeypatch.setattr(os, "access", lambda path, mode: False)
+        assert client.hindrance.startswith(f"ipc://{tmp_path}/publish may not be opened by this user: use sudo, or")
+    finally:
+        client.close()
 
 
 def test_what_is_said_while_a_subscription_is_on_its_way_is_heard_once(wire: Wire) -> None:
