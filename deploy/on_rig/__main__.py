@@ -16,7 +16,7 @@ import nas
 import releases
 import trial
 import units
-from machine import CONFIG, KEYS, OPT, Failed, Refused, install_packages, is_pi, remove_tree, run, say
+from machine import CONFIG, KEYS, OPT, Failed, Refused, install_packages, is_pi, remove_tree, run, say, write_if_other
 
 LOCK = OPT / ".lock"
 PACKAGES = ("python3-venv", "python3-systemd", "python3-dev", "gcc")
@@ -91,9 +91,7 @@ def _write_default_config(bundle: Path) -> None:
     if CONFIG.exists():
         say(f"unchanged  {CONFIG} is yours")
         return
-    data = (bundle / "flora.toml").read_bytes()
-    CONFIG.write_bytes(data)
-    CONFIG.chmod(0o644)
+    write_if_other(CONFIG, (bundle / "flora.toml").read_bytes())
     say(f"changed    {CONFIG}, to be edited")
 
 
