@@ -30,7 +30,7 @@ NAMELESS: Final = 14.0
 form of the law adds up over runs."""
 NAMELESS_ALONE: Final = 10.0
 """Nats that it must have where no cause has :data:`NEXT_TO_NOTHING`, and none can be hidden by it. No healthy plants
-have as much and less than 14 (docs/results/discovery.md)."""
+have as much and less than 14 (docs/results/discovery-history.md)."""
 NEXT_TO_NOTHING: Final = 2.0
 BETTER: Final = 4.0
 """Nats by which it must be better than the best cause, which then is not believed; with more runs than three by as

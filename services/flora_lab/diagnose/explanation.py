@@ -14,7 +14,7 @@ from flora_lab.effects.effect import Effect
 FIRST: Final = 3.0
 """Nats of evidence that the first cause needs, and any to be kept beside others; some need more where they come first
 (:attr:`flora_lab.effects.effect.Effect.first_needs`). Weak effects have 3 to 4, which healthy runs hardly ever show for
-the others (docs/results/discovery.md)."""
+the others (docs/results/discovery-history.md)."""
 SECOND: Final = 2.0
 """Nats that the second one needs: where one is at work, another is no surprise. Of those with 2 to 4 nats about every
 second one is there, and its confidence says so."""

@@ -32,7 +32,7 @@ SHARES: Final = (0.0, 0.05, 0.15)
 _MORE: Final = (0.0, 1.0, 3.0, 9.0)
 """So many times as much as is usual a run may wander besides, wind or none."""
 _BY_THEMSELVES: Final = 10.0
-"""Nats that plants may show which sway by themselves; healthy ones have had 8 (docs/results/discovery.md)."""
+"""Nats that plants may show which sway by themselves; healthy ones have had 8 (docs/results/discovery-history.md)."""
 _QUICK: Final = 5.5
 """Nats that gusts of an hour or less must come to beside such as last for hours: of nine drawn winds those with slow
 gusts alone have come to 5.1 at most, and those with quick ones to 6.3 at least."""

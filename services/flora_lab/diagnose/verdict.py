@@ -38,7 +38,7 @@ class Belief:
 
 FIRST_BELIEF, LATER_BELIEF = Belief(1.5, 1.0), Belief(2.5, 10.0)
 """Of a first cause that has come to its claim, and of others beside it, of which those with a few nats are there in one
-case of three. Read off 693 claims of drawn runs (docs/results/discovery.md)."""
+case of three. Read off 693 claims of drawn runs (docs/results/discovery-history.md)."""
 ALIKE: Final = 4.0
 """Nats within which a cause is not told from a better one."""
 RELATED: Final = 8.0

@@ -195,8 +195,8 @@ class Effect:
         sentence: what it means, given its values.
         prior: how much more often it is met than another one, before any data.
         first_needs: nats that it needs besides where it is the first cause, read off healthy plants
-            (docs/results/discovery.md): some look a little like it where they grow by another law than ours. Negative
-            where none ever does.
+            (docs/results/discovery-history.md): some look a little like it where they grow by another law than ours.
+            Negative where none ever does.
     """
 
     name: str
