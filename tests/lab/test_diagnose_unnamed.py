@@ -13,7 +13,7 @@ from diagnose_runs import LAW, STEP_S, base, known, run_of, scene_of, scenes_of,
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose import unnamed as module
-from flora_lab.diagnose.courses import COURSES, Course, Push, moments_of
+from flora_lab.diagnose.courses import CLOSER, COURSES, TRIED, Course, Push, moments_of
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
@@ -164,12 +164,23 @@ def test_what_is_large_is_fitted_about_its_own_size() -> None:
     assert found.gain > 20.0
 
 
+def test_a_spell_is_told_from_when_to_when_it_was() -> None:
+    """Nine hours from the fifteenth on: no spell that is looked at first begins then, or lasts so long."""
+    rest = {"growth": lambda hour: -0.9 * ((hour > 15.0) & (hour <= 24.0))}
+    joint, null, scenes, answers = looked_from([scene_of(seed, hours=HOURS, besides=rest) for seed in (84, 85)])
+    told = module.unnamed(joint, null, scenes, answers, no_pushes())
+    assert told.words.endswith("lower from 15 to 24 h after the start")
+    assert told.size[0] == pytest.approx(-0.9, abs=0.2)
+    assert told.tried == len(TRIED) + len(CLOSER)
+
+
 def test_what_was_fitted_counts_for_no_more_than_its_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plants that stop growing for ten hours: linearly, growth by their lean to the light seemed to explain more."""
     lean, spell = (course_of(where) for where in ("for each 5 cm that the tip leans", "from 18 to 30 h"))
     looks = [Unnamed("growth", lean, 1621.0, np.array([3.5])), Unnamed("growth", spell, 1468.0, np.array([-2.0]))]
     ends = {lean.where: 1315.0, spell.where: 1467.0}
     monkeypatch.setattr(module, "looked_at", lambda *_: looks)
+    monkeypatch.setattr(module, "looked_closer", lambda *_: looks[:1])
     monkeypatch.setattr(module, "fitted", lambda _joint, _before, look: replace(look, gain=ends[look.course.where]))
     joint, null, scenes, answers = looked_from([scene_of(84)])
     told = module.unnamed(joint, null, scenes, answers, no_pushes())

@@ -5,7 +5,7 @@ A course is told by the measured run, so that it is known before anything is sim
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -31,6 +31,8 @@ _AFTER_SWITCH_H: Final = 2.0
 _EVERY_H: Final = 6.0
 _SPELL_H: Final = 12.0
 _SPELLS_H: Final = (6.0, 12.0, 18.0)
+_CLOSER_H: Final = 3.0
+_LONGEST_SPELL_H: Final = 30.0
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
 _SIDES: Final = (("left", -1.0), ("right", 1.0))
@@ -134,6 +136,11 @@ def _shadow(from_h: float) -> Callable[[Moments], Array]:
     return _column(lambda at: ((at.time_h - from_h) % DAY_H < _SHADOW_H).astype(np.float64))
 
 
+def _in_spell(from_h: float, lasts_h: float) -> Course:
+    where = f"from {from_h:.0f} to {from_h + lasts_h:.0f} h after the start"
+    return Course(where, ("gain", "growth", "bias"), _spell(from_h, lasts_h))
+
+
 COURSES: Final = (
     Course(
         "where the tip is far off the middle",
@@ -185,15 +192,7 @@ COURSES: Final = (
         Course(f"from {hour_h:.0f} h after the start on", ("gain", "growth", "bias"), _after(hour_h))
         for hour_h in np.arange(_EVERY_H, 72.0, _EVERY_H)
     ),
-    *(
-        Course(
-            f"from {hour_h:.0f} to {hour_h + lasts_h:.0f} h after the start",
-            ("gain", "growth", "bias"),
-            _spell(hour_h, lasts_h),
-        )
-        for lasts_h in _SPELLS_H
-        for hour_h in np.arange(_EVERY_H, 72.0 - lasts_h, _EVERY_H)
-    ),
+    *(_in_spell(hour_h, lasts_h) for lasts_h in _SPELLS_H for hour_h in np.arange(_EVERY_H, 72.0 - lasts_h, _EVERY_H)),
     *(
         Course(
             f"while the {name} lamp shines, from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
@@ -216,21 +215,33 @@ COURSES: Final = (
 
 SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
 """How large a push of each drive is looked for, standard deviation."""
-TRIED: Final = tuple((drive, course) for course in COURSES for drive in course.drives)
+Tried = tuple[str, Course]
+"""A push: of which drive, along which course."""
+TRIED: Final[tuple[Tried, ...]] = tuple((drive, course) for course in COURSES for drive in course.drives)
 """All pushes."""
 LOOKED: Final = float(np.log(len(TRIED)))
 """The price of having looked at so many, in nats."""
+CLOSER: Final[tuple[Tried, ...]] = tuple(
+    (drive, course)
+    for lasts_h in np.arange(_CLOSER_H, _LONGEST_SPELL_H + _CLOSER_H, _CLOSER_H)
+    for hour_h in np.arange(0.0, 72.0 - lasts_h, _CLOSER_H)
+    for course in [_in_spell(hour_h, lasts_h)]
+    for drive in course.drives
+)
+"""Spells of any length, at which it is looked where there is something for certain: that has begun and ended when it
+has, and what follows a plant's ways by chance describes it better than a spell of another length."""
 
 
-def pushed_along(scene: Scene, answers: Answers) -> list[Array]:
-    """What a unit of each of :data:`TRIED` does to a run's features, arrays of shape (m, columns of the course).
+def pushed_along(scene: Scene, answers: Answers, tried: Sequence[Tried] = TRIED) -> list[Array]:
+    """What a unit of each push does to a run's features, arrays of shape (m, columns of the course).
 
     Args:
         scene: the run.
         answers: of it, about some plant.
+        tried: the pushes.
     """
     at = {drive: moments_of(scene, answers.at_h[drive]) for drive in SIZE}
-    return [answers.to[drive] @ course.of(at[drive]) for drive, course in TRIED]
+    return [answers.to[drive] @ course.of(at[drive]) for drive, course in tried]
 
 
 def moments_of(scene: Scene, time_h: Array) -> Moments:

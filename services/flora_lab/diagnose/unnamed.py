@@ -16,7 +16,15 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import LOOKED, SIZE, TRIED, Course, Push, pushed_along
+from flora_lab.diagnose.courses import (
+    CLOSER,
+    LOOKED,
+    SIZE,
+    TRIED,
+    Course,
+    Push,
+    pushed_along,
+)
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
@@ -29,6 +37,8 @@ _FITTED: Final = 3
 _WORTH_A_FIT: Final = 2.0
 """Nats that they must come to there."""
 _STEPS: Final = 10
+_CERTAIN: Final = 30.0
+"""Nats from which on it is there for certain, and is looked at once more for when it began and ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +51,7 @@ class Unnamed:
         gain: evidence beyond that without it, nats; that so many were tried, and what is usual, is taken off.
         size: of each column of the course, shape (columns,).
         usual: nats that were taken off since healthy plants show as much.
+        tried: of how many it is one.
     """
 
     drive: str
@@ -48,6 +59,7 @@ class Unnamed:
     gain: float
     size: Array
     usual: float = 0.0
+    tried: int = len(TRIED)
 
     @property
     def evidence(self) -> str:
@@ -92,7 +104,14 @@ def unnamed(
         scenes, answers: of each run, about the plants of that fit.
         usual: what healthy plants show.
     """
-    looks = looked_at(joint, found, scenes, answers, usual)
+    best = _best_fit(joint, found, looked_at(joint, found, scenes, answers, usual))
+    if best.gain < _CERTAIN:
+        return best
+    closer = _best_fit(joint, found, looked_closer(joint, found, scenes, answers))
+    return max(best, closer, key=lambda one: one.gain)
+
+
+def _best_fit(joint: Joint, found: Found, looks: Sequence[Unnamed]) -> Unnamed:
     fits = [fitted(joint, found, look) for look in looks[:_FITTED] if look.gain > _WORTH_A_FIT]
     # What was fitted is not believed beyond that: growth that stops for ten hours is far from linear in anything.
     return max(fits or looks[:1], key=lambda one: one.gain)
@@ -112,6 +131,16 @@ def looked_at(
     return sorted(out, key=lambda one: -one.gain)
 
 
+def looked_closer(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> list[Unnamed]:
+    """The same for spells that begin and end at any time."""
+    pushed = [pushed_along(scene, own, CLOSER) for scene, own in zip(scenes, answers, strict=True)]
+    out, many = [], len(TRIED) + len(CLOSER)
+    for (drive, course), told in zip(CLOSER, told_of_all(joint, found, pushed), strict=True):
+        nats = told.nats(SIZE[drive] ** 2 * np.eye(len(told.pull))) - float(np.log(many))
+        out.append(Unnamed(drive, course, nats, told.size(SIZE[drive]), tried=many))
+    return sorted(out, key=lambda one: -one.gain)
+
+
 def fitted(joint: Joint, before: Found, look: Unnamed) -> Unnamed:
     """The same about its own size: what halves an answer, or stops growth, is far from linear about no such thing."""
     cause = Cause(_effect(look))
@@ -120,7 +149,7 @@ def fitted(joint: Joint, before: Found, look: Unnamed) -> Unnamed:
     hypothesis = Hypothesis((*before.hypothesis.causes, cause))
     fit = joint.fit(Found(hypothesis, start, before.traits.copy(), before.start.copy()), _STEPS)
     gain, size = evidence_for_last(before, fit) - look.usual, hypothesis.shares(fit.coordinates)[-1]
-    return _possible(Unnamed(look.drive, look.course, gain, size, look.usual))
+    return _possible(replace(look, gain=gain, size=size))
 
 
 def _possible(told: Unnamed) -> Unnamed:
@@ -147,5 +176,5 @@ def _effect(look: Unnamed) -> Effect:
         parameters=parameters,
         forms=(act,),
         sentence=lambda _: look.words,
-        prior=1.0 / len(TRIED),
+        prior=1.0 / look.tried,
     )
