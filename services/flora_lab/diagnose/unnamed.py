@@ -9,7 +9,7 @@ and Kutz (2016) take for unknown dynamics, with one term.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,6 +26,7 @@ from flora_lab.diagnose.courses import (
     pushed_along,
 )
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
+from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.diagnose.usual_pushes import UsualPushes, told_of_all
@@ -121,23 +122,34 @@ def looked_at(
     joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers], usual: UsualPushes
 ) -> list[Unnamed]:
     """All of it where everything is taken for linear about the explanation so far, best first."""
-    pushed = [pushed_along(scene, own) for scene, own in zip(scenes, answers, strict=True)]
-    out = []
-    for which, told in enumerate(told_of_all(joint, found, pushed)):
-        drive, course = TRIED[which]
-        sd, as_usual = SIZE[drive], usual.nats(which, told, len(scenes))
-        nats = told.nats(sd**2 * np.eye(len(told.pull))) - LOOKED - as_usual
-        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), as_usual)))
-    return sorted(out, key=lambda one: -one.gain)
+
+    def as_usual(which: int, told: InformationForm) -> float:
+        return usual.nats(which, told, len(scenes))
+
+    return _looks(joint, found, [pushed_along(*run) for run in zip(scenes, answers, strict=True)], TRIED, as_usual)
 
 
 def looked_closer(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> list[Unnamed]:
     """The same for spells that begin and end at any time."""
-    pushed = [pushed_along(scene, own, CLOSER) for scene, own in zip(scenes, answers, strict=True)]
-    out, many = [], len(TRIED) + len(CLOSER)
-    for (drive, course), told in zip(CLOSER, told_of_all(joint, found, pushed), strict=True):
-        nats = told.nats(SIZE[drive] ** 2 * np.eye(len(told.pull))) - float(np.log(many))
-        out.append(Unnamed(drive, course, nats, told.size(SIZE[drive]), tried=many))
+    pushed = [pushed_along(*run, CLOSER) for run in zip(scenes, answers, strict=True)]
+    looks = _looks(joint, found, pushed, CLOSER, lambda *_: 0.0)
+    both = len(TRIED) + len(CLOSER)
+    return [replace(look, gain=look.gain + LOOKED - float(np.log(both)), tried=both) for look in looks]
+
+
+def _looks(
+    joint: Joint,
+    found: Found,
+    pushed: Sequence[Sequence[Array]],
+    pushes: Sequence[tuple[str, Course]],
+    as_usual: Callable[[int, InformationForm], float],
+) -> list[Unnamed]:
+    out = []
+    for which, told in enumerate(told_of_all(joint, found, pushed)):
+        drive, course = pushes[which]
+        sd, usual = SIZE[drive], as_usual(which, told)
+        nats = told.nats(sd**2 * np.eye(len(told.pull))) - LOOKED - usual
+        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), usual)))
     return sorted(out, key=lambda one: -one.gain)
 
 
