@@ -297,8 +297,8 @@ class BusClient:
 
     @property
     def hindrance(self) -> str:
-        """Where the bus has not answered: why, in a sentence; empty where nobody listens."""
-        return self._handshakes.hindrance
+        """Why the bus has not answered, or does not let us in, in a sentence; empty where nobody listens."""
+        return self.refusal if self.connected else self._handshakes.hindrance
 
     def publish(self, message: Message) -> None:
         """Fill in the envelope, pack, and only then send: a message that cannot be packed leaves no half behind."""

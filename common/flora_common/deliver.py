@@ -86,8 +86,7 @@ def deliver(
                     progress(sending)
             is_taken = sending.answer is not None and sending.answer.stage == "shadowing"
             if now_s - sending.heard_at_s > (max(timeout_s, GONE_AFTER_S) if is_taken else timeout_s):
-                hindrance = client.refusal if client.connected else client.hindrance
-                told = hindrance or _who_is_missing(rig, there, sending, is_connected=client.connected)
+                told = client.hindrance or _who_is_missing(rig, there, sending, is_connected=client.connected)
                 raise BusUnreachable(told)
             if client.connected:
                 for said in sending.due(now_s):

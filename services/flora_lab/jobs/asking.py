@@ -66,8 +66,7 @@ def ask(
                     told(message)
             now_s = time.monotonic()
             if last is None and now_s - began_s > timeout_s:
-                hindrance = client.refusal if client.connected else client.hindrance
-                raise BusUnreachable(hindrance or _nobody(rig, is_connected=client.connected))
+                raise BusUnreachable(client.hindrance or _nobody(rig, is_connected=client.connected))
             every_s = ASK_EVERY_S if last is None else ASK_SLOWLY_EVERY_S
             if client.connected and (asked_s is None or now_s - asked_s >= every_s):
                 client.publish(job)
