@@ -168,6 +168,11 @@ def last_lines(path: Path, within_bytes: int) -> list[bytes]:
     return lines[1 if start else 0 : -1]
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is a file, as far as this user may look and the disk says: where they do not, that is no error."""
+    return os.path.isfile(path)  # noqa: PTH113 - pathlib raises there
+
+
 def damaged_name(path: Path) -> Path:
     """The name beside it under which a damaged file is kept for people to look at."""
     return path.with_name(f"{path.name}.damaged-{os.urandom(4).hex()}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -11,12 +10,11 @@ from typing import Final
 
 import msgspec
 
-from flora_common import setup_run
+from flora_common import files, setup_run
 from flora_common.app import App
 from flora_common.config import RigSection
 from flora_common.controller_file import SUFFIX
 from flora_common.errors import ConfigError, StoreError
-from flora_common.files import sha256_of_bytes
 from flora_common.messages import ControllerAnswer, ControllerChunk, ControllerOffer, Setup, Stem
 from flora_common.runs import RunFile, RunFolder
 from flora_common.service import run_service
@@ -42,8 +40,8 @@ def check(rig: RigSection, section: ControllerSection) -> None:
     run, is_file = RunFolder(Path(rig.run_dir)), section.use.endswith(SUFFIX)
     if not is_file:
         check_name(section.use)
-    if not os.path.isfile(run.run_toml):  # noqa: PTH113 - a folder that is closed to whoever asks is no error here
-        return
+    if not files.is_file(run.run_toml):
+        return  # who reads a folder that is closed to us is told
     policy = policy_of(section, *task_of(run.read_run_file(), run))
     if is_file:
         path, state_dir = Path(section.use), Path(rig.state_dir)
@@ -170,7 +168,7 @@ def run_identity(run: RunFolder, run_file: RunFile | None) -> str:
     parts: list[object] = [str(run.place)]
     if run_file is not None:
         parts += [str(run_file.start), msgspec.to_builtins(run_file.target), msgspec.to_builtins(run_file.obstacle)]
-    return sha256_of_bytes(msgspec.json.encode(parts))[:16]
+    return files.sha256_of_bytes(msgspec.json.encode(parts))[:16]
 
 
 def open_source(section: ControllerSection, state_dir: Path, acceptance: Acceptance) -> FileSource | FixedSource:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from typing import Final
 
 import msgspec
 
+from flora_common import files
 from flora_common.messages import Stem
 from flora_common.runs import TRACK_HEADER, Light, RunFolder, known_light
 from flora_common.shapes import Target
@@ -94,8 +94,8 @@ class History:
         Raises:
             BadRunFolder: the track is damaged; the rows before the damage are there.
         """
-        if not os.path.isfile(run.track_csv):  # noqa: PTH113 - of a folder that is closed to us run.toml tells
-            return
+        if not files.is_file(run.track_csv):
+            return  # of a folder that is closed to us run.toml tells
         columns = TRACK_HEADER.split(",")
         for line, values in read_csv(run.track_csv, columns):
             where = f"{run.track_csv} line {line}"

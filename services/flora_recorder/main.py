@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
-import os
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from flora_common import files
 from flora_common.app import App
 from flora_common.bus import Arrival
 from flora_common.errors import StoreError
@@ -22,8 +22,8 @@ LAST_QUIET_MS: Final = 100
 
 def place_check(run: RunFolder) -> Callable[[], None]:
     """Asks whether the run is still where it is now; of a folder that is no run's yet, nothing is asked."""
-    if not os.path.isfile(run.run_toml):  # noqa: PTH113 - of one that is closed to us the first file tells
-        return lambda: None
+    if not files.is_file(run.run_toml):
+        return lambda: None  # of one that is closed to us the first file tells
     return functools.partial(run.check_place, run.place)
 
 

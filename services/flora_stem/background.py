@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
+from flora_common import files
 from flora_common.errors import BadInput, BadRunFolder, StoreError
 from flora_common.messages import Frame
 from flora_common.runs import CameraSection, Light, RunFolder
@@ -180,7 +180,7 @@ class _Learner:
         """Take the frames of before this start that are still on the disk."""
         with contextlib.suppress(BadRunFolder):  # no table yet, or flora-capture has to mend its end
             for row in self._run.read_frames():
-                if row.light is not None and os.path.isfile(self._run.path / row.file):  # noqa: PTH113 - False where a disk does not say
+                if row.light is not None and files.is_file(self._run.path / row.file):
                     self._frames[row.light][row.file] = None
         self._go_on()
 
