@@ -215,13 +215,13 @@ COURSES: Final = (
 
 SIZE: Final = {"gain": 0.4, "growth": 0.4, "bias": 0.03}
 """How large a push of each drive is looked for, standard deviation."""
-Tried = tuple[str, Course]
-"""A push: of which drive, along which course."""
-TRIED: Final[tuple[Tried, ...]] = tuple((drive, course) for course in COURSES for drive in course.drives)
+Pattern = tuple[str, Course]
+"""A drive, and the course along which it may be pushed."""
+TRIED: Final[tuple[Pattern, ...]] = tuple((drive, course) for course in COURSES for drive in course.drives)
 """All pushes."""
 LOOKED: Final = float(np.log(len(TRIED)))
 """The price of having looked at so many, in nats."""
-CLOSER: Final[tuple[Tried, ...]] = tuple(
+CLOSER: Final[tuple[Pattern, ...]] = tuple(
     (drive, course)
     for lasts_h in np.arange(_CLOSER_H, _LONGEST_SPELL_H + _CLOSER_H, _CLOSER_H)
     for hour_h in np.arange(0.0, 72.0 - lasts_h, _CLOSER_H)
@@ -232,7 +232,7 @@ CLOSER: Final[tuple[Tried, ...]] = tuple(
 has, and what follows a plant's ways by chance describes it better than a spell of another length."""
 
 
-def pushed_along(scene: Scene, answers: Answers, tried: Sequence[Tried] = TRIED) -> list[Array]:
+def pushed_along(scene: Scene, answers: Answers, tried: Sequence[Pattern] = TRIED) -> list[Array]:
     """What a unit of each push does to a run's features, arrays of shape (m, columns of the course).
 
     Args:

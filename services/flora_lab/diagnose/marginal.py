@@ -116,8 +116,9 @@ def sizes_and_spread(runs: Sequence[Linear], mean: Array, start: Array) -> tuple
     def improbability(log_sizes: Array) -> tuple[float, Array]:
         slope = precision @ (log_sizes - middle)
         total = 0.5 * float((log_sizes - middle) @ slope)
+        sizes = np.exp(log_sizes)
         for run in told:
-            one, uphill = run.improbability(np.exp(log_sizes))
+            one, uphill = run.improbability(sizes)
             total += one
             slope += uphill
         return total, slope

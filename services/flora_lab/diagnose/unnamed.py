@@ -16,15 +16,7 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import (
-    CLOSER,
-    LOOKED,
-    SIZE,
-    TRIED,
-    Course,
-    Push,
-    pushed_along,
-)
+from flora_lab.diagnose.courses import CLOSER, SIZE, TRIED, Course, Pattern, Push, pushed_along
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
@@ -132,24 +124,23 @@ def looked_at(
 def looked_closer(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> list[Unnamed]:
     """The same for spells that begin and end at any time."""
     pushed = [pushed_along(*run, CLOSER) for run in zip(scenes, answers, strict=True)]
-    looks = _looks(joint, found, pushed, CLOSER, lambda *_: 0.0)
-    both = len(TRIED) + len(CLOSER)
-    return [replace(look, gain=look.gain + LOOKED - float(np.log(both)), tried=both) for look in looks]
+    return _looks(joint, found, pushed, CLOSER, lambda *_: 0.0, len(TRIED) + len(CLOSER))
 
 
 def _looks(
     joint: Joint,
     found: Found,
     pushed: Sequence[Sequence[Array]],
-    pushes: Sequence[tuple[str, Course]],
+    patterns: Sequence[Pattern],
     as_usual: Callable[[int, InformationForm], float],
+    tried: int = len(TRIED),
 ) -> list[Unnamed]:
     out = []
     for which, told in enumerate(told_of_all(joint, found, pushed)):
-        drive, course = pushes[which]
+        drive, course = patterns[which]
         sd, usual = SIZE[drive], as_usual(which, told)
-        nats = told.nats(sd**2 * np.eye(len(told.pull))) - LOOKED - usual
-        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), usual)))
+        nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(tried)) - usual
+        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), usual, tried)))
     return sorted(out, key=lambda one: -one.gain)
 
 
