@@ -30,9 +30,14 @@ _HISTORY_H: Final = 6.0
 _AFTER_SWITCH_H: Final = 2.0
 _EVERY_H: Final = 6.0
 _SPELL_H: Final = 12.0
-_SPELLS_H: Final = (6.0, 12.0, 18.0)
 _CLOSER_H: Final = 3.0
 _LONGEST_SPELL_H: Final = 30.0
+_SPELLS_H: Final = tuple(
+    (float(hour_h), lasts_h)
+    for lasts_h in (6.0, 12.0, 18.0)
+    for hour_h in np.arange(_EVERY_H, 72.0 - lasts_h, _EVERY_H)
+)
+"""When those that are looked at first begin, and how long they last."""
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
 _SIDES: Final = (("left", -1.0), ("right", 1.0))
@@ -192,7 +197,7 @@ COURSES: Final = (
         Course(f"from {hour_h:.0f} h after the start on", ("gain", "growth", "bias"), _after(hour_h))
         for hour_h in np.arange(_EVERY_H, 72.0, _EVERY_H)
     ),
-    *(_in_spell(hour_h, lasts_h) for lasts_h in _SPELLS_H for hour_h in np.arange(_EVERY_H, 72.0 - lasts_h, _EVERY_H)),
+    *(_in_spell(hour_h, lasts_h) for hour_h, lasts_h in _SPELLS_H),
     *(
         Course(
             f"while the {name} lamp shines, from {hour_h:.0f} to {hour_h + _SPELL_H:.0f} h after the start",
@@ -225,11 +230,12 @@ CLOSER: Final[tuple[Pattern, ...]] = tuple(
     (drive, course)
     for lasts_h in np.arange(_CLOSER_H, _LONGEST_SPELL_H + _CLOSER_H, _CLOSER_H)
     for hour_h in np.arange(0.0, 72.0 - lasts_h, _CLOSER_H)
+    if (hour_h, lasts_h) not in _SPELLS_H
     for course in [_in_spell(hour_h, lasts_h)]
     for drive in course.drives
 )
-"""Spells of any length, at which it is looked where there is something for certain: that has begun and ended when it
-has, and what follows a plant's ways by chance describes it better than a spell of another length."""
+"""All other spells, at which it is looked where there is something for certain: that has begun and ended when it has,
+and what follows a plant's ways by chance describes it better than a spell of another length."""
 
 
 def pushed_along(scene: Scene, answers: Answers, tried: Sequence[Pattern] = TRIED) -> list[Array]:
