@@ -18,8 +18,9 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from flora_common.arrays import ByteArray, Float32Array, Int16Array
+from flora_common.arrays import Int16Array
 from flora_common.errors import BadPicture
+from flora_common.vision import still_plant
 from flora_common.vision.picture import Picture, checked_array
 
 MadeBy = Literal["background", "frames"]
@@ -33,10 +34,8 @@ SAME_STATE: Final = 1.0
 """Mean difference in code units, noise and exposure taken away, up to which two empty pictures show one lamp state."""
 MOST_STATES: Final = 8
 LEAST_FRAMES: Final = 5
-STAYS: Final = 12.0
-"""In code units: what is greener than its surroundings by this, in the learnt setup, is plant that never moved."""
 MOVES: Final = 30.0
-"""In the same units: where the most plant-like of the frames stand out by this, a plant comes and goes."""
+"""In code units: where the most plant-like of the frames stand out by this, a plant comes and goes."""
 _BAND_ROWS: Final = 64
 
 _TABLE: Final = np.round(CODE_PER_NEPER * np.log1p(np.arange(256) / DARK_LEVEL)).astype(np.uint8)
@@ -144,8 +143,8 @@ def from_frames(frames: Sequence[Picture], *, anchor_px: tuple[float, float], wi
 
     At each pixel the frames are put in order of how plant-like they are, and the least plant-like but few are averaged:
     a place shows what it looks like empty as soon as the plant is away from it in a quarter of the frames. The foot of
-    a stem never is: what stays greener than all round it between the anchor and the nearest place where something
-    moves is taken for plant, and its surroundings are put in its place.
+    a stem never is, nor are leaves low on it: what stays greener than all round it and hangs together with the anchor,
+    between that and all that moves, is taken for plant, and its surroundings are put in its place.
 
     Args:
         frames: at least 5, all of one size, full resolution, spread over the whole stretch of time.
@@ -174,38 +173,14 @@ def from_frames(frames: Sequence[Picture], *, anchor_px: tuple[float, float], wi
     for top in range(0, empty.shape[0], _BAND_ROWS):
         rows = slice(top, top + _BAND_ROWS)
         band = np.stack([log_code(frame[rows]) for frame in frames])
-        likeness = _plant_like(band)
+        likeness = still_plant.greenness(band) + band.sum(axis=-1, dtype=np.float32) / 9.0
         order = np.argsort(likeness, axis=0, kind="stable")
         empty[rows] = np.rint(np.take_along_axis(band, order[low : high + 1, ..., None], axis=0).mean(axis=0))
         spread = np.take_along_axis(likeness, order[[high, most]], axis=0)
         moves[rows] = (spread[1] - spread[0]) > MOVES
-    _replace_foot(empty, np.asarray(cv2.medianBlur(moves, 5), dtype=np.uint8), anchor_px, widest_px)
+    still_plant.replace(empty, np.asarray(cv2.medianBlur(moves, 5), dtype=np.uint8), anchor_px, widest_px)
     size = (max(1, empty.shape[1] // COARSE), max(1, empty.shape[0] // COARSE))
     return LampState(empty, np.asarray(cv2.resize(empty, size), dtype=np.uint8), len(frames))
-
-
-def _replace_foot(empty: Picture, moves: ByteArray, anchor_px: tuple[float, float], widest_px: float) -> None:
-    """Put the surroundings in place of the part of a stem that never moves; changes ``empty``."""
-    row, column = np.nonzero(moves)
-    if row.size == 0:
-        return
-    nearest = int(np.argmin(np.hypot(column - anchor_px[0], row - anchor_px[1])))
-    corridor = np.zeros_like(moves)
-    ends = [(round(anchor_px[0]), round(anchor_px[1])), (int(column[nearest]), int(row[nearest]))]
-    cv2.line(corridor, ends[0], ends[1], 1, max(3, round(3.0 * widest_px)))
-    side = min(255, max(5, round(2.5 * widest_px)) | 1)
-    around = np.asarray(cv2.medianBlur(empty, side), dtype=np.uint8)
-    stays = _plant_like(empty, chroma_only=True) - _plant_like(around, chroma_only=True) > STAYS
-    wider = cv2.dilate(stays.astype(np.uint8), np.ones((3, 3), np.uint8))
-    foot = np.asarray(cv2.bitwise_and(wider, corridor)) > 0
-    empty[foot] = around[foot]
-
-
-def _plant_like(code: Picture, *, chroma_only: bool = False) -> Float32Array:
-    """Green and yellow count, and brightness a little; shape (..., 3) to (...)."""
-    b, g, r = (code[..., k].astype(np.float32) for k in range(3))
-    chroma = 1.5 * (g - 0.5 * (b + r)) + 0.6 * (0.5 * (g + r) - b)
-    return chroma if chroma_only else chroma + (b + g + r) / 9.0
 
 
 class _Group:
