@@ -105,7 +105,6 @@ class FileSource:
 
     Attributes:
         steering: the rule now in force.
-        refusal: why what lies at ``path`` now is not in force; empty where it is.
 
     Raises:
         BadController: it must not steer, and none was accepted before.
@@ -116,17 +115,29 @@ class FileSource:
         self._path = path
         self._kept = kept
         self._acceptance = acceptance
-        self.refusal = ""
+        self._refused = ""
+        self._not_kept = ""
         self._stamp = _stamp_of(path)
         try:
             self.steering = self._accepted(load_controller(path))
             self._keep()
         except (BadController, StoreError) as problem:
             self.steering = self._evolved(_kept_before(kept, acceptance, problem))
-            self.refusal = _refused(problem)
+            self._refuse(problem)
+
+    @property
+    def refusal(self) -> str:
+        """Why what lies at ``path`` now is not in force, or would not outlive a restart; empty where all is well."""
+        return "; ".join(part for part in (self._refused, self._not_kept) if part)
 
     def poll(self) -> bool:
         """Look at the file; True where another rule has taken over."""
+        has_changed = self._look()
+        if has_changed or self._not_kept:  # the disk may have room by now
+            self._keep()
+        return has_changed
+
+    def _look(self) -> bool:
         stamp = _stamp_of(self._path)
         if stamp == self._stamp:
             return False
@@ -134,16 +145,17 @@ class FileSource:
         try:
             steering = self._accepted(load_controller(self._path))
         except (BadController, StoreError) as problem:
-            self.refusal = _refused(problem)
-            if isinstance(problem, StoreError):
-                self._stamp = None  # the file is good: it is tried again until the disk takes it
+            self._refuse(problem)
             return False
-        self.refusal = ""
+        self._refused = ""
         is_other = steering.sha256 != self.steering.sha256
         self.steering = steering
-        if is_other:
-            self._keep()
         return is_other
+
+    def _refuse(self, problem: BadController | StoreError) -> None:
+        self._refused = f"refused, the one before goes on: {problem}"
+        if isinstance(problem, StoreError):
+            self._stamp = None  # the file is good: it is tried again until the disk takes it
 
     def _accepted(self, loaded: LoadedController) -> Evolved:
         self._acceptance.take(loaded, self._acceptance.check(loaded, offered=False))
@@ -158,7 +170,9 @@ class FileSource:
             if not self._kept.is_file() or sha256_of_bytes(self._kept.read_bytes()) != self.steering.sha256:
                 write_bytes(self._kept, self.steering.loaded.data)
         except (OSError, StoreError) as problem:
-            self.refusal = f"in force, but a copy cannot be kept: {problem}"
+            self._not_kept = f"in force, but a copy cannot be kept: {problem}"
+        else:
+            self._not_kept = ""
 
 
 def _stamp_of(path: Path) -> _Stamp | None:
@@ -168,7 +182,3 @@ def _stamp_of(path: Path) -> _Stamp | None:
     except (OSError, ValueError):
         return None
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _refused(problem: BadController | StoreError) -> str:
-    return f"refused, the one before goes on: {problem}"

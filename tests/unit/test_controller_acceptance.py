@@ -338,3 +338,21 @@ def test_a_full_disk_puts_a_good_file_off_until_there_is_room(tmp_path: Path) ->
 
     assert source.poll()
     assert source.steering.sha256 == newer.sha256
+
+
+def test_a_full_disk_at_the_start_puts_a_good_file_off_until_there_is_room(tmp_path: Path) -> None:
+    path = tmp_path / "steer.controller.json"
+    older = signed(serial=5)
+    write_bytes(path, older.data)
+    rig = Rig(tmp_path)
+    FileSource(path, tmp_path / "kept", rig.acceptance)
+    newer = signed(EXPORT, serial=6)
+    write_bytes(path, newer.data)
+    rig.disk_is_full = True
+    again = FileSource(path, tmp_path / "kept", rig.acceptance)
+    assert (again.steering.sha256, again.poll()) == (older.sha256, False)
+    assert "no room on the disk" in again.refusal
+    rig.disk_is_full = False
+
+    assert again.poll()
+    assert (again.steering.sha256, again.refusal) == (newer.sha256, "")

@@ -166,6 +166,25 @@ def test_the_same_content_anew_is_no_other_controller(rig: Rig) -> None:
     assert source.refusal == ""
 
 
+def test_a_copy_that_cannot_be_kept_is_told_until_it_is(rig: Rig) -> None:
+    rig.state.write_bytes(b"a file where the folder must be")
+    source = rig.source()
+    told = "in force, but a copy cannot be kept"
+    assert (source.poll(), told in source.refusal) == (False, True)
+    os.utime(rig.path)
+    assert (source.poll(), told in source.refusal) == (False, True)
+    write_bytes(rig.path, BAD)
+    assert not source.poll()
+    assert source.refusal.startswith("refused, the one before goes on: ")
+    assert told in source.refusal
+    write_bytes(rig.path, TIP_ONLY)
+    rig.state.unlink()
+
+    assert not source.poll()
+    assert source.refusal == ""
+    assert kept_file(rig.state, rig.path).read_bytes() == TIP_ONLY
+
+
 def test_a_network_that_this_run_cannot_feed_is_refused(rig: Rig) -> None:
     source = rig.source(obstacle=None)
     write_bytes(rig.path, EXPORT)
