@@ -45,6 +45,10 @@ Px = Annotated[float, msgspec.Meta(ge=-20_000.0, le=20_000.0)]
 Points = Iterable[Iterable[float]]
 """Points (x, y) in cm: an array of shape (n, 2), or tuples."""
 
+LEAST_PX_PER_CM: Final = 1.0
+"""No stem is seen in a picture that stands for so much, tens of metres; whoever looks for one needs time and memory for
+all of them."""
+
 LONGEST_PATH: Final = 500
 """Signs of a photograph's path in ``frames.csv``; file systems know no names of more than 255."""
 
@@ -56,7 +60,7 @@ class CameraSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[camera]``: how pictures map to centimetres."""
 
     anchor_px: tuple[Px, Px]
-    px_per_cm: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
+    px_per_cm: Annotated[float, msgspec.Meta(ge=LEAST_PX_PER_CM, le=1000.0)]
     width_px: Annotated[int, msgspec.Meta(ge=16, le=20_000)] = 1640
     height_px: Annotated[int, msgspec.Meta(ge=16, le=20_000)] = 1232
 
