@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import IO, Any, Final
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from flora_common.errors import BadInput
+from flora_common.files import CHUNK_BYTES as READ_BYTES
 from flora_common.files import atomic_writer, fsync_folder
 from flora_common.recording import CHUNK_BYTES, OPEN_SUFFIX, PROFILE, UNREADABLE, store_error
 
@@ -22,6 +24,9 @@ DAMAGED_SUFFIX: Final = ".damaged"
 
 MAX_RECORD_BYTES: Final = 64 << 20
 """A longer MCAP record, or chunk unpacked, is not one of ours: it is refused before memory is taken for it."""
+
+_FOOTER_BYTES: Final = 1 + 8 + 8 + 8 + 4
+"""Of the record at the end of a file, whose last four are the check sum of the index before it, and of itself."""
 
 _TORN: Final = (McapError, ValueError, KeyError, OverflowError, struct.error, zstandard.ZstdError, EOFError)
 """What the library raises on files that are cut or damaged. CRC failures and bad text are ValueErrors."""
@@ -128,6 +133,32 @@ class RecordingReader:
                         raise ValueError(f"a message of channel {item.channel_id}, which is not declared")
                     yield item
             self.whole_bytes = file.tell()
+            if isinstance(record, Footer) and not _is_index_whole(file, record):
+                self.problem = (
+                    "damaged index: every message is there, but players that go by it may not find them; named "
+                    f"{self.path.name.removesuffix(OPEN_SUFFIX)}{OPEN_SUFFIX} in a run's bus/ it is recovered at the "
+                    "next start of flora-recorder"
+                )
+
+
+def _is_index_whole(file: IO[bytes], footer: Footer) -> bool:
+    """Whether what follows the messages, by which players find them, has the check sum that the footer tells.
+
+    Args:
+        file: the recording, behind the footer, where it is afterwards.
+        footer: one without a check sum tells nothing.
+    """
+    end = file.tell()
+    start = footer.summary_start or end - _FOOTER_BYTES
+    if footer.summary_crc == 0 or start > end:
+        return footer.summary_crc == 0
+    file.seek(start)
+    left, found = end - 4 - start, 0
+    while left > 0 and (piece := file.read(min(left, READ_BYTES))):
+        found = zlib.crc32(piece, found)
+        left -= len(piece)
+    file.seek(end)
+    return found == footer.summary_crc
 
 
 def _unpacked(chunk: Chunk) -> list[Any]:

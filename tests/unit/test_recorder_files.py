@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import random
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,35 @@ def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
         recorded, problem = read(open_path)
         assert problem  # the end of file is missing in any case; what counts is that nothing else is raised
         assert {r.payload for r in recorded} <= payloads
+
+
+def test_a_damaged_index_is_told_and_recovered(tmp_path: Path) -> None:
+    path = recover(written(tmp_path / "a.mcap", 60)).path
+    assert path is not None
+    good = path.read_bytes()
+    messages, problem = read(path)
+    assert (len(messages), problem) == (60, "")
+    index_at = struct.unpack("<Q", good[-28:-20])[0]  # as the footer tells it
+    told: list[str] = []
+    for place in (*range(index_at, len(good) - 8, 97), len(good) - 25):
+        data = bytearray(good)
+        data[place] ^= 1
+        path.write_bytes(data)
+        recorded, problem = read(path)
+        assert recorded == messages
+        assert problem.startswith(("damaged index: ", "not readable after byte"))
+        told.append(problem)
+        found = recover(path.rename(tmp_path / "a.mcap.open"))
+        assert (found.path, found.messages, found.problem) == (path, 60, problem)
+        assert read(path) == (messages, "")
+    assert any("named a.mcap.open in a run's bus/ it is recovered" in problem for problem in told)
+
+
+def test_an_index_without_a_check_sum_is_not_judged(tmp_path: Path) -> None:
+    path = recover(written(tmp_path / "a.mcap", 60)).path
+    assert path is not None
+    path.write_bytes(path.read_bytes()[:-12] + bytes(4) + path.read_bytes()[-8:])
+    assert read(path)[1] == ""
 
 
 def test_empty_and_hopeless_left_overs(tmp_path: Path) -> None:
