@@ -66,6 +66,44 @@ def test_what_leads_out_of_the_folder_or_to_other_machines_is_refused(argument: 
     assert "\n" not in str(told.value)
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Of all jobs: ``out`` is a link to a folder elsewhere, ``in`` to one in it."""
+    made = tmp_path / "jobs"
+    (made / "real").mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    (made / "out").symlink_to(tmp_path / "elsewhere")
+    (made / "in").symlink_to("real")
+    return made
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("out/run", "-o", "out"),
+        ("-o", "out/x"),
+        ("-oout",),
+        ("-qoout",),
+        ("--output=out/x",),
+        ("-o", "in", "--overlays", "out/seen"),
+        ("-o", "in", "--contact=out/a.png"),
+        ("-o", "in", "--film", "out/a.mp4"),
+        ("--strip", "out/a.png"),
+        ("--tensorboard", "out"),
+        ("-o", "ou*"),
+    ],
+)
+def test_nothing_is_written_through_a_link(folder: Path, arguments: tuple[str, ...]) -> None:
+    asked = Book(folder).ask(job(1, *arguments), NOW)
+
+    assert (asked.stage, "a link leads it out of the folder" in asked.text) == ("refused", True)
+
+
+@pytest.mark.parametrize("arguments", [("out/run", "-o", "in/x"), ("-oreal",), ("out/*", "--output=new/a/b", "-q")])
+def test_links_may_lead_to_what_is_read(folder: Path, arguments: tuple[str, ...]) -> None:
+    assert Book(folder).ask(job(1, *arguments), NOW).stage == "waiting"
+
+
 @pytest.mark.parametrize("work", ["publish", "keygen", "sign", "serve", "submit", "evovle", "", "rm"])
 def test_what_needs_a_key_or_is_no_work_is_refused(work: str) -> None:
     with pytest.raises(BadInput, match="is no work for a lab"):

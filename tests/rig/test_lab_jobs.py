@@ -13,7 +13,7 @@ import pytest
 from flora_common.bus import Arrival
 from flora_common.installed import command
 from flora_common.messages import Job, JobProgress
-from flora_lab.jobs.book import BOOK_FILE
+from flora_lab.jobs.book import BOOK_FILE, Book
 from flora_lab.jobs.runner import PROGRESS_FILE
 
 DEADLINE_S = 60.0
@@ -77,6 +77,17 @@ def test_a_job_is_done_and_its_result_is_in_the_folder_of_all_jobs(lab: Lab) -> 
     assert json.loads(again.stdout)["stage"] == "done"
     (kept,) = json.loads((lab.folder / BOOK_FILE).read_text())["jobs"]
     assert (kept["stage"], kept["attempts"]) == ("done", 1)
+
+
+def test_a_job_whose_output_has_become_a_link_is_refused_when_its_turn_comes(lab: Lab, tmp_path: Path) -> None:
+    lab.folder.mkdir()
+    book = Book(lab.folder)
+    book.ask(Job(job=f"{1:016x}", work="dataset", arguments=("few", "-o", "out/data")), "2026-11-25T08:00:00Z")
+    (tmp_path / "elsewhere").mkdir()
+    (lab.folder / "out").symlink_to(tmp_path / "elsewhere")
+    lab.start()
+    assert "a link leads it out" in lab.hear(f"{1:016x}", "refused").text
+    assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
 def test_a_job_that_fails_says_why_and_the_next_is_done(lab: Lab) -> None:

@@ -104,6 +104,7 @@ class Book:
             if sum(not one.is_over for one in self.jobs) >= MOST_WAITING:
                 raise BadInput(f"{MOST_WAITING} jobs are waiting already; ask again when some are done")
             rules.check(asked.work, asked.arguments)
+            rules.check_outputs(entry.command(self.path.parent), self.path.parent)
         except BadInput as problem:
             # Not noted: whoever asks for nonsense a thousand times must not push out what was done.
             entry.stage, entry.text = "refused", as_sentence(str(problem))

@@ -1,11 +1,14 @@
 """What a lab may be asked to do: which subcommands, and with which arguments.
 
 Whoever reaches the bus may ask. So a job works in the folder of all jobs and in no other, reaches no other machine, and
-needs no key: nothing is signed and nothing published.
+needs no key: nothing is signed and nothing published. Links in that folder, which only its owner makes, may lead to
+what a job reads, and to nothing that it writes.
 """
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,6 +30,8 @@ KNOWN: Final = "known"
 _SHOWN: Final = frozenset({"rollout", "evaluate", "rhythm"})
 """Subcommands that show what they found where they are told no folder for it; a job has no screen."""
 _OUTPUT: Final = re.compile(r"^(-o|--output(=|$))")
+_WRITES: Final = re.compile(r"-q*o(.*)|--(?:output|overlays|contact|film|strip|tensorboard)(?:=(.*))?")
+"""Options that name what is written; the value is in the same argument, or is the next one."""
 _REFUSED: Final = ("--cluster",)
 _OPTION: Final = re.compile(r"^-{1,2}[A-Za-z][A-Za-z-]*=?")
 
@@ -51,6 +56,28 @@ def check(work: str, arguments: Sequence[str]) -> None:
             raise BadInput(f"argument `{argument[:60]}`: name files relative to the folder of all jobs, and inside it")
     if work in _SHOWN and not any(_OUTPUT.match(argument) for argument in arguments):
         raise BadInput(f"{work}: what it finds would be lost; name a folder for it with -o")
+
+
+def check_outputs(arguments: Sequence[str], folder: Path) -> None:
+    """Whether what is written comes to lie in the folder of all jobs, whatever links there are in it.
+
+    Args:
+        arguments: that were checked, spelled out.
+        folder: of all jobs.
+
+    Raises:
+        BadInput: it does not; one line that says why.
+    """
+    inside = Path(os.path.realpath(folder))
+    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
+        found = _WRITES.fullmatch(argument)
+        if found is None:
+            continue
+        value = found[1] or found[2] or following
+        if not Path(os.path.realpath(folder / value)).is_relative_to(inside):
+            raise BadInput(
+                f"output `{value[:60]}`: a link leads it out of the folder of all jobs, where jobs may read only"
+            )
 
 
 def spelled_out(arguments: Sequence[str], folder: Path) -> Iterator[str]:

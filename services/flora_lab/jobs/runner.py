@@ -11,10 +11,11 @@ from typing import Any, Final
 
 from flora_common import files, lock
 from flora_common.app import App
-from flora_common.errors import StoreError
+from flora_common.errors import BadInput, StoreError
 from flora_common.messages import Job
 from flora_common.messages.catalogue import JobStage
 from flora_lab.bars import ENVIRONMENT, Told, read_told
+from flora_lab.jobs import rules
 from flora_lab.jobs.book import Book, Entry
 from flora_lab.serve.child import Child
 
@@ -100,7 +101,15 @@ class Runner:
         self._app.trouble("jobs", "")
         (self._folder / PROGRESS_FILE).unlink(missing_ok=True)
         try:
+            # links may have been made since it was asked for
+            rules.check_outputs(entry.command(self._folder), self._folder)
             self._book.begins(entry, self._utc())
+        except BadInput as problem:
+            os.close(held)
+            self._book.ends(entry, "refused", str(problem), utc=self._utc(), took_s=0.0)
+            self._say(entry)
+            self.look()
+            return
         except BaseException:
             os.close(held)
             raise
