@@ -88,6 +88,8 @@ class RecordingReader:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         try:
+            if path.exists() and not path.is_file():  # a pipe would be waited for without end
+                raise BadInput(f"{path}: not a regular file, hence not a recording")
             with path.open("rb") as file:
                 magic = file.read(8)
         except OSError as problem:

@@ -167,6 +167,17 @@ def test_an_index_without_a_check_sum_is_not_judged(tmp_path: Path) -> None:
     assert read(path)[1] == ""
 
 
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_what_is_no_regular_file_is_no_recording(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.mcap"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+    with pytest.raises(BadInput, match=r"a\.mcap: not a regular file"):
+        RecordingReader(path)
+
+
 def test_empty_and_hopeless_left_overs(tmp_path: Path) -> None:
     empty = tmp_path / "a.mcap.open"
     empty.touch()
