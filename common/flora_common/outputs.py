@@ -38,10 +38,10 @@ def is_there(path: Path, option: str = "-o") -> bool:
     return False
 
 
-def must_be_new(path: Path) -> None:
+def must_be_new(path: Path, option: str = "-o") -> None:
     """Whether a folder may be made there; BadInput where something is, or none can be."""
-    if is_there(path):
-        raise BadInput(f"{path}: is there already; name another folder with -o")
+    if is_there(path, option):
+        raise BadInput(f"{path}: is there already; name another folder with {option}")
 
 
 def check_folder(

@@ -38,15 +38,29 @@ class PictureFile:
 
     Attributes:
         sha256: of the file when the photograph was taken; None where nobody has noted it.
+        size_from: the file that tells the size; None where it is that of the first photograph.
     """
 
     path: Path
     size_px: tuple[int, int]
     sha256: str | None = None
+    size_from: Path | None = None
 
     def load(self, reduction: Reduction) -> Picture:
         """Decode at 1/reduction of the size; raises BadPicture, also where the file is not what was taken."""
-        return read_picture(self.path, expected_size=self.size_px, reduction=reduction, sha256=self.sha256)
+        try:
+            return read_picture(self.path, expected_size=self.size_px, reduction=reduction, sha256=self.sha256)
+        except BadPicture as problem:
+            if self.size_from is None or self._has_the_size():
+                raise
+            raise BadPicture(f"{problem} by width_px and height_px in {self.size_from}") from problem
+
+    def _has_the_size(self) -> bool:
+        """Whether its size is the expected one, or cannot be known."""
+        try:
+            return picture_size(read_picture_bytes(self.path), where=str(self.path)) == self.size_px
+        except BadPicture:
+            return True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +125,11 @@ class Source(Protocol):
         """Those that it is read from, pictures and tables."""
         ...
 
+    @property
+    def picture_folders(self) -> Sequence[Path]:
+        """Those in which every picture is taken for one of the sequence, or of its setup."""
+        ...
+
     def fingerprint(self) -> str:
         """Changes when the input does: over names, sizes and times of change of its files; pictures are not read."""
         ...
@@ -122,10 +141,16 @@ class RunSource:
     def __init__(self, path: Path) -> None:
         self.folder = RunFolder(path)
         self.run = self.folder.read_run_file(unknown=aside)
+        if not self.folder.frames_csv.exists():
+            raise BadInput(
+                f"{self.folder.frames_csv}: is not there; write it (file,time_s,light, a line for each photograph), or "
+                f"give {self.folder.frames} itself, with --anchor, --px-per-cm, --interval-s and --light-from"
+            )
         self.rows = self.folder.read_frames()
         self._taken = self.folder.announced_hashes()
         self.name = str(path)
         self.size_px = (self.run.camera.width_px, self.run.camera.height_px)
+        self.picture_folders = [self.folder.background, self.folder.frames]
         self.count = len(self.rows)
         lights = [row.light for row in self.rows if row.light is not None]
         self.lights: Sequence[Light] | None = lights or None
@@ -165,12 +190,14 @@ class RunSource:
         return [self.folder.run_toml, self.folder.frames_csv, *([log] if log.exists() else [])]
 
     def _picture(self, path: Path) -> PictureFile:
-        return PictureFile(path, self.size_px, self._taken.get(path.relative_to(self.folder.path).as_posix()))
+        taken = self._taken.get(path.relative_to(self.folder.path).as_posix())
+        return PictureFile(path, self.size_px, taken, self.folder.run_toml)
 
     def _find(self, file: str) -> Path:
         """``file`` is relative to the run folder, or to its ``frames/``."""
-        in_run = self.folder.path / file
-        return in_run if in_run.exists() else self.folder.frames / file
+        in_run, in_frames = self.folder.path / file, self.folder.frames / file
+        is_told_whole = Path(file).parts[0] == self.folder.frames.name
+        return in_run if in_run.exists() or (is_told_whole and not in_frames.exists()) else in_frames
 
 
 class FolderSource:
@@ -181,7 +208,9 @@ class FolderSource:
     def __init__(self, path: Path) -> None:
         # a Mac leaves `._IMG_1.JPG` beside each file that it copies to a stick
         shown = (p for p in path.iterdir() if not p.name.startswith("."))
-        self._files = sorted((p for p in shown if p.suffix.lower() in PICTURE_SUFFIXES), key=_in_order)
+        pictures = (p for p in shown if p.suffix.lower() in PICTURE_SUFFIXES and not p.is_dir())
+        self._files = sorted(pictures, key=_in_order)
+        self.picture_folders = [path]
         if not self._files:
             raise BadInput(f"{path}: holds neither run.toml nor pictures ({', '.join(PICTURE_SUFFIXES)})")
         self.name = str(path)
@@ -221,6 +250,7 @@ class FilmSource:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = str(path)
+        self.picture_folders: list[Path] = []
         self.count = 0
         self.size_px = (0, 0)
         for picture in self._pictures():

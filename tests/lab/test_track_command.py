@@ -104,6 +104,15 @@ def test_json_and_quiet_are_for_scripts(tmp_path: Path, capfd: pytest.CaptureFix
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
+def test_where_most_frames_gave_no_stem_it_says_what_to_try(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", torn=tuple(range(8)))
+    assert main(["track", str(run), "-o", str(tmp_path / "a.csv")]) == 0
+    advice = capfd.readouterr().err.splitlines()[-1]
+    assert advice.startswith("most frames gave no stem: look at them with --overlays, give --hidden-base-cm")
+    assert main(["track", str(run), "-o", str(tmp_path / "b.csv"), "--frames", "6:"]) == 0
+    assert "most frames" not in capfd.readouterr().err
+
+
 def test_existing_output_is_kept_unless_forced(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run")
     out = tmp_path / "track.csv"

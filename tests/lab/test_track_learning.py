@@ -47,6 +47,12 @@ def sort(source: FolderSource | RunSource, rule: str = "auto", span: Span = ALL)
     return learning.sort_frames(source, span, parse_rule(rule), Pool(1), path=True)
 
 
+def test_a_folder_that_is_called_as_a_picture_is_none(tmp_path: Path) -> None:
+    source = folder_of(tmp_path, ["left", "right"])
+    (tmp_path / "x.jpg").mkdir()
+    assert FolderSource(tmp_path).files() == source.files()
+
+
 def test_frames_are_put_together_by_what_they_look_like(tmp_path: Path) -> None:
     source = folder_of(tmp_path, (["left"] * 4 + ["right"] * 4 + ["dark"] * 3) * 2)
     found = sort(source)

@@ -103,6 +103,53 @@ def test_no_picture_takes_the_place_of_one_of_the_input(tmp_path: Path, capfd: p
     assert photograph.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("option", "place"),
+    [
+        ("--overlays", "background"),
+        ("--contact", "frames/sheet.png"),
+        ("--contact", "background/sheet.jpg"),
+    ],
+)
+def test_no_picture_is_drawn_among_the_photographs_of_the_input(
+    option: str, place: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 6, background=False)
+    assert main(["track", str(run), "-o", str(run / "track.csv"), option, str(run / place)]) == 2
+    assert "would lie among the photographs of the input" in capfd.readouterr().err
+    if option == "--contact":
+        sheet = run / "frames" / "sheet.png"
+        folder = [
+            "track",
+            str(run / "frames"),
+            "--anchor",
+            "160,220",
+            "--px-per-cm",
+            "10",
+            "-o",
+            str(tmp_path / "t.csv"),
+        ]
+        assert main([*folder, "--contact", str(sheet)]) == 2
+        assert f"{sheet}: would lie among the photographs" in capfd.readouterr().err
+
+
+def test_what_is_no_photograph_may_lie_in_the_input(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", 6)
+    places = ["-o", str(run / "track.csv"), "--overlays", str(run / "seen"), "--contact", str(run / "seen.png")]
+    assert main(["track", str(run), "-q", *places]) == 0
+
+
+@pytest.mark.parametrize("is_empty", [True, False])
+def test_overlays_are_a_new_folder(is_empty: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path / "run", 6)
+    seen = tmp_path / "seen"
+    seen.mkdir()
+    if not is_empty:
+        (seen / "note").write_text("mine")
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--overlays", str(seen)]) == 2
+    assert f"{seen}: is there already; name another folder with --overlays\n" in capfd.readouterr().err
+
+
 def test_no_track_takes_the_place_of_an_empty_file_of_the_input(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

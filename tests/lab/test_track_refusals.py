@@ -42,13 +42,13 @@ def test_bad_run_ends_with_2_and_one_line(name: str, tmp_path: Path, capfd: pyte
         (["--px-per-cm", "-3"], "--px-per-cm: expected a number >= 1.0, it is -3"),
         (["--px-per-cm", "nan"], "--px-per-cm: expected a number >= 1.0, it is nan"),
         (["--px-per-cm", "0.0001"], "--px-per-cm: expected a number >= 1.0, it is 0.0001"),
-        (["--method", "paper", "--reduction", "3"], "--reduction: invalid enum value 3"),
+        (["--method", "paper", "--reduction", "3"], "--reduction: 3 is none of 1, 2, 4, 8\n"),
         (["--method", "paper", "--theta-1", "2"], "--theta-1: expected a number < 1.0"),
         (["--widest-stem-cm", "0"], "--widest-stem-cm: expected a number > 0.0"),
         (["--window", "1,2,3,90000"], "--window: expected a number <= 20000.0, it is 90000"),
         (["--theta-1", "0.2"], "--theta-1: is an option of --method paper, not of --method path"),
         (["--theta-2-px", "30"], "--theta-2-px: is an option of --method paper"),
-        (["--reduction", "3"], "--reduction: invalid enum value 3"),
+        (["--reduction", "3"], "--reduction: 3 is none of 1, 2, 4, 8\n"),
         (["--smallest-component", "0"], "--smallest-component: is an option of --method paper"),
         (["--method", "paper", "--points", "y"], "--points: is an option of --method path, not of --method paper"),
         (["--method", "paper", "--widest-stem-cm", "1"], "--widest-stem-cm: is an option of --method path"),
@@ -84,6 +84,28 @@ def test_bad_option_ends_with_2_and_one_line(
     assert said in told.err
     assert told.err.count("\n") == 1
     assert not (tmp_path / "t.csv").exists()
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_a_size_that_no_picture_has_is_told_with_the_file_that_tells_it(
+    background: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 12, background=background)
+    about = run / "run.toml"
+    about.write_text(about.read_text().replace("320", "640"))
+    for method in ("path", "paper"):
+        assert main(["track", str(run), "-o", str(tmp_path / "t.csv"), "--method", method]) == 2
+        said = capfd.readouterr().err
+        assert f".jpg: is 320x240 px, expected 640x240 by width_px and height_px in {about}" in said
+
+
+def test_a_photograph_that_is_not_there_is_told_by_the_path_that_the_table_has(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run", 6)
+    (run / "frames" / "0002.jpg").unlink()
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv")]) == 0
+    assert f"left out: {run}/frames/0002.jpg: cannot be read" in capfd.readouterr().err
 
 
 def test_missing_input_and_single_picture_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import subprocess
 import sys
@@ -163,6 +165,25 @@ def interrupted_after(frames: int, monkeypatch: pytest.MonkeyPatch, command: lis
     with monkeypatch.context() as patch:
         patch.setattr(part_file.PartFile, "add", add_and_stop)
         assert main(command) == 130
+
+
+class _FullDisk(io.FileIO):
+    def write(self, data: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_told_with_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def held(path: Path) -> io.BufferedRandom:
+        path.touch()
+        return io.BufferedRandom(_FullDisk(path, "r+"))
+
+    monkeypatch.setattr(part_file, "_hold", held)
+    run = make_run(tmp_path / "run", 6)
+    assert main(["track", str(run), "-o", str(tmp_path / "t.csv")]) == 1
+    said = f"flora-lab: {tmp_path}/.t.csv.part: no room on the disk; what was found before is kept\n"
+    assert capfd.readouterr().err == said
 
 
 @pytest.mark.parametrize(

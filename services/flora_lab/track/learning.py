@@ -152,7 +152,8 @@ def path_setup(
             states.append(made)
         except BadPicture as problem:
             light = f"with light `{frames.lights[members[0]]}` " if source.lights is not None and members else ""
-            raise BadInput(f"{source.name}: no background pictures, and {light}{problem}") from problem
+            why = "" if pictures else _why_not_the_first(source)
+            raise BadInput(f"{source.name}: no background pictures, and {light}{problem}{why}") from problem
     setup = EmptySetup(states, "frames")
     return Learnt(setup, setup.made_by, setup.pictures, len(states))
 
@@ -187,7 +188,8 @@ def paper_setup(
                 f"{source.name}: no background pictures, and with light `{light}` {problem}{hint}"
             ) from problem
     if not learnt:
-        raise BadInput(f"{source.name}: no background pictures, and none of the frames can be used")
+        why = _why_not_the_first(source)
+        raise BadInput(f"{source.name}: no background pictures, and none of the frames can be used{why}")
     return Learnt(learnt, "frames", sum(s.pictures for s in learnt.values()), len(learnt))
 
 
@@ -247,6 +249,15 @@ def _every_other(members: Sequence[int], most: int) -> list[Sequence[int]]:
     while -(-len(members) // step) > most:
         step *= 2
     return [members[k : k + step] for k in range(0, len(members), step)]
+
+
+def _why_not_the_first(source: Source) -> str:
+    """Where no frame can be used, a clause that says what hinders the first."""
+    try:
+        next(source.frames()).load(1)
+    except BadPicture as problem:
+        return f"; the first: {problem}"
+    return ""
 
 
 def _load(source: Source, slots: Iterable[Sequence[int]], reduction: Reduction, on_frame: OnFrame) -> list[Picture]:

@@ -153,7 +153,7 @@ SmallestOption = Annotated[
 OverlaysOption = Annotated[
     Path | None,
     typer.Option(
-        help="New folder for pictures with the stem drawn over, contact.png, readings.csv.",
+        help="A new folder for pictures with the stem drawn over, contact.png, readings.csv.",
         rich_help_panel=_PICTURES_PANEL,
     ),
 ]
@@ -207,6 +207,8 @@ def settings_of(
     if window is not None:
         values["window_px"] = numbers(window, 4, "--window")
     if reduction is not None:
+        if reduction not in REDUCTIONS:
+            raise BadInput(f"--reduction: {reduction} is none of {', '.join(map(str, REDUCTIONS))}")
         values["reduction"] = reduction
     made: PathSettings | PaperSettings
     if method is MethodName.PATH:

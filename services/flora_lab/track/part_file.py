@@ -10,6 +10,7 @@ options for its pictures goes on from them.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import hashlib
@@ -66,10 +67,9 @@ class PartFile:
             self._file.seek(good)
             self._file.truncate()
             if good == 0:
-                self._file.write(self._first_line)
-                self._file.flush()
+                self._write(self._first_line)
         except BaseException:
-            self._file.close()
+            self._close()
             raise
 
     def __enter__(self) -> PartFile:
@@ -80,18 +80,25 @@ class PartFile:
     ) -> None:
         if not self.readings:
             self.remove()
-        self._file.close()
+        self._close()
 
     def add(self, reading: Reading, memory: object) -> None:
         """Keep a reading, which must be the next one."""
+        self._write(msgspec.json.encode(StoredReading.of(reading, memory)) + b"\n")
+        self.readings.append(reading)
+
+    def _write(self, line: bytes) -> None:
         try:
-            self._file.write(msgspec.json.encode(StoredReading.of(reading, memory)) + b"\n")
+            self._file.write(line)
             self._file.flush()
         except OSError as problem:
             if problem.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise DiskFull(f"{self.path}: no room on the disk; what was found before is kept") from problem
             raise
-        self.readings.append(reading)
+
+    def _close(self) -> None:
+        with contextlib.suppress(OSError):  # a line that found no room is tried once more; who wrote it has said so
+            self._file.close()
 
     def remove(self) -> None:
         """The work is done, or its readings are of no use."""

@@ -16,7 +16,6 @@ import numpy as np
 
 from flora_common import files, outputs
 from flora_common.errors import BadInput, StoreError
-from flora_common.outputs import is_there
 from flora_common.vision import draw
 from flora_common.vision.picture import Picture
 from flora_lab.option_values import must_not
@@ -45,7 +44,7 @@ class Wanted:
     """Which pictures are asked for.
 
     Attributes:
-        overlays: folder; must not be there, or be empty.
+        overlays: folder; must not be there.
         contact: file of the contact sheet alone.
         film: file.
         every: of every N-th frame only.
@@ -72,9 +71,8 @@ class Wanted:
         """
         if not self.any:
             must_not("--every", self.every, "no --overlays, --contact or --film is asked for")
-        folder = self.overlays
-        if folder is not None and is_there(folder, "--overlays") and (not folder.is_dir() or any(folder.iterdir())):
-            raise BadInput(f"{folder}: is there already and not an empty folder; name another for the overlays")
+        if self.overlays is not None:
+            outputs.must_be_new(self.overlays, "--overlays")
         places = [path.absolute() for path in (track, *self.paths)]
         if len(set(places)) < len(places):
             raise BadInput("-o, --overlays, --contact and --film must name different places")
@@ -89,12 +87,22 @@ class Wanted:
             outputs.check_file(path, force=force, is_ours=is_ours, what=what, option=option)
 
     def check_apart(self, track: Path, source: Source) -> None:
-        """Whether nothing of the input would be replaced; ``track`` is the other output.
+        """Whether the input stays what it is; ``track`` is the other output.
 
         Raises:
-            BadInput: a track, contact sheet or film that is one of the input's own files.
+            BadInput: a track, contact sheet or film that is one of the input's own files, or a contact sheet or
+                overlays that would be taken for photographs the next time.
         """
         outputs.check_apart([track, *self.paths], source.files)
+        own = {folder.resolve() for folder in source.picture_folders}
+        for path, option, folder in (
+            (self.overlays, "--overlays", self.overlays),
+            (self.contact, "--contact", self.contact and self.contact.parent),
+        ):
+            if folder is not None and folder.resolve() in own:
+                raise BadInput(
+                    f"{path}: would lie among the photographs of the input; name another place with {option}"
+                )
 
 
 class Pictures:

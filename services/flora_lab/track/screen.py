@@ -74,6 +74,19 @@ class Outcome:
         }
         return json.dumps(fields)
 
+    @property
+    def advice(self) -> str:
+        """What to try where most frames gave no stem; empty where most did."""
+        if 2 * self.summary.readings >= self.summary.frames:
+            return ""
+        tries = [] if self.wanted.overlays else ["look at them with --overlays"]
+        if self.learnt.made_by != "background":
+            tries.append("take background pictures of the setup without a plant")
+        if self.method == "path":
+            tries.append("give --hidden-base-cm where a rim hides the foot of the stem")
+        tries.append("see whether anchor and scale are right")
+        return f"most frames gave no stem: {', '.join(tries)}"
+
     def lines(self) -> list[str]:
         """For people."""
         s = self.summary
@@ -108,6 +121,8 @@ def tell(outcome: Outcome, *, quiet: bool, as_json: bool) -> None:
         print(f"left out: {len(bad) - BAD_PICTURES_NAMED} more bad pictures", file=sys.stderr)
     for line in outcome.lines():
         print(line)
+    if outcome.advice:
+        print(outcome.advice, file=sys.stderr)
 
 
 @contextlib.contextmanager
