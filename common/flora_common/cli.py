@@ -7,6 +7,7 @@ import contextlib
 import errno
 import importlib.metadata
 import io
+import itertools
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -107,6 +108,9 @@ def run_typer(program: str, app: Callable[[], typer.Typer], argv: Sequence[str] 
     arguments = list(sys.argv[1:] if argv is None else argv)
 
     def work() -> int:
+        if any(not own and before[:1] != "-" for before, own in itertools.pairwise(arguments)):
+            # of a variable that is not set: as a path it would be the current folder
+            raise _wrong_arguments("an argument is empty, where something must be named", program)
         try:
             result = app()(args=arguments or ["--help"], prog_name=program, standalone_mode=False)
         except usage_error as problem:

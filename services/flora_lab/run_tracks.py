@@ -90,6 +90,8 @@ def load_run(path: Path) -> RunTrack:
         _check_whole_stems(path)
         return RunTrack(name, name, path, files.sha256_of_file(path), read_track(path))
     folder = RunFolder(path)
+    if folder.track_csv.is_dir():
+        raise BadInput(f"{folder.track_csv}: is a folder, where the run's track must be")
     if not folder.track_csv.is_file():
         inner = any(path.glob("*/track.csv"))
         hint = (

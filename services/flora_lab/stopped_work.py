@@ -93,6 +93,15 @@ def unfinished(path: Path, what: str, drop: str = "--force") -> BadInput:
     )
 
 
+def nothing_kept(path: Path) -> str:
+    """What ``--resume`` is answered where nothing is kept: whoever believed that there was learns it at the beginning.
+
+    Args:
+        path: where it would be.
+    """
+    return f"{path}: nothing is kept there to go on from; starting from the beginning"
+
+
 def check_same_work(path: Path, then: Mapping[str, Any], now: Mapping[str, Any], remedy: str) -> None:
     """Whether what is kept in ``path`` is of the work that is asked for.
 

@@ -195,6 +195,9 @@ def test_no_runs_no_output_and_a_missing_file_are_told(tmp_path: Path, capsys: p
     assert "holds no track.csv; make it with `flora-lab track" in refused(
         capsys, [str(tmp_path / "empty"), "-o", str(out)]
     )
+    (tmp_path / "odd" / "track.csv").mkdir(parents=True)
+    said = refused(capsys, [str(tmp_path / "odd"), "-o", str(out)])
+    assert f"{tmp_path / 'odd' / 'track.csv'}: is a folder, where the run's track must be" in said
     (tmp_path / "many" / "a").mkdir(parents=True)
     (tmp_path / "many" / "a" / "track.csv").write_text(track_text())
     assert "name the runs in it" in refused(capsys, [str(tmp_path / "many"), "-o", str(out)])

@@ -248,6 +248,8 @@ def test_a_folder_that_holds_something_else_is_left_alone(
     (out / "thesis.tex").write_text("years of work")
     for on in (simulator, "twin"):
         assert "holds other files" in refused(capsys, TIP_ONLY, "--on", on, "-o", out)
+        file = out / "thesis.tex"
+        assert f"{file}: is a file; name a new folder with -o" in refused(capsys, TIP_ONLY, "--on", on, "-o", file)
     assert [entry.name for entry in out.iterdir()] == ["thesis.tex"]
 
     mine = tmp_path / "mine"

@@ -250,6 +250,17 @@ def test_what_is_kept_of_other_work_is_not_gone_on_with(
     assert main([*words, "--force", "--quiet"]) == 0
 
 
+def test_where_nothing_is_kept_resume_says_that_it_begins(
+    simulator: Path, task: Path, tmp_path: Path, capsys: Any
+) -> None:
+    words = arguments(simulator, task, tmp_path / "e", "--resume")
+    assert main(words) == 0
+    told = capsys.readouterr().err
+    assert told == f"{kept_path(tmp_path / 'e')}: nothing is kept there to go on from; starting from the beginning\n"
+    assert main([*words, "--force", "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_an_evolution_is_replaced_only_with_force(simulator: Path, task: Path, evolved: Path, capsys: Any) -> None:
     before = contents(evolved)
     assert main(arguments(simulator, task, evolved)) == 2

@@ -112,6 +112,9 @@ def test_a_training_that_failed_is_not_written(tmp_path: Path) -> None:
 
 
 def test_what_is_no_simulator_is_told(tmp_path: Path) -> None:
+    (tmp_path / "good.csv").write_text("time_s,light\n")
+    with pytest.raises(BadInput, match=r"good\.csv: a file, not a simulator folder"):
+        read_stored(tmp_path / "good.csv")
     with pytest.raises(BadInput, match="no such simulator folder"):
         read_stored(tmp_path / "absent")
     with pytest.raises(BadInput, match=r"it has no simulator\.toml"):

@@ -196,9 +196,11 @@ def test_interrupted_after_a_round_and_resumed_it_is_the_same(data: list[Path], 
 def test_rounds_are_told_and_a_checkpoint_of_other_runs_is_refused(short: list[MeasuredRun], tmp_path: Path) -> None:
     runs = load_runs([written(tmp_path, one) for one in short])
     options = TrainOptions(seed=1, checkpoint=tmp_path / "c", epochs=1)
-    told = Told()
+    told, anew = Told(), Told()
     train(runs, options, told)
     assert (told.begun, told.epochs, told.notes) == ([(1, 0)], [1], [])
+    train(runs, replace(options, checkpoint=tmp_path / "none", resume=True), anew)
+    assert ["none: nothing is kept there to go on from" in note for note in anew.notes] == [True]
     more = Told()
     train(runs, replace(options, epochs=2, resume=True), more)
     assert (more.begun, more.epochs) == ([(2, 1)], [2])

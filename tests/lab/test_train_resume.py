@@ -197,7 +197,7 @@ def test_with_nothing_to_resume_it_begins(
 ) -> None:
     other = tmp_path / "other"
     assert main(command(data, other, "--resume")) == 0
-    assert "no checkpoint; starting from the beginning" in capsys.readouterr().err
+    assert "nothing is kept there to go on from; starting from the beginning" in capsys.readouterr().err
     assert same_folders(other, whole)
 
 

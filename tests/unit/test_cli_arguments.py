@@ -51,6 +51,16 @@ def test_an_option_that_does_not_exist_is_one_line_and_status_2(
     assert told.err.endswith(f"(see {command} --help)\n")
 
 
+@pytest.mark.parametrize("arguments", [("flora-lab", "track", ""), ("flora-monitor", "check", "a.mcap", "")])
+def test_an_empty_argument_is_not_the_current_folder(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, *given = arguments
+    assert main_of(command)(given) == 2
+    said = f"{command}: an argument is empty, where something must be named (see {command} --help)\n"
+    assert capsys.readouterr().err == said
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -60,7 +60,9 @@ def check_folder(path: Path, plan: Plan) -> None:
     """
     if not is_there(path):
         return
-    if path.is_dir() and {entry.name for entry in path.iterdir()} <= {LOCK_FILE}:
+    if not path.is_dir():
+        raise BadInput(f"{path}: is a file; name a new folder with -o")
+    if {entry.name for entry in path.iterdir()} <= {LOCK_FILE}:
         return
     info = path / INFO_FILE
     if not info.is_file():

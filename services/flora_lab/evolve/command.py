@@ -14,7 +14,7 @@ import typer
 from flora_common.errors import BadInput
 from flora_lab.late import modules_of
 from flora_lab.option_values import must_not
-from flora_lab.stopped_work import going_on, sigterm_ends
+from flora_lab.stopped_work import going_on, nothing_kept, sigterm_ends
 
 RUNS, GENERATIONS, POPULATION = 20, 1000, 150
 """Wahby et al. 2018: 20 runs of 1000 generations."""
@@ -103,7 +103,8 @@ def evolve(
         try:
             with sigterm_ends(), _module("screen").shown(plan, is_silent=quiet or as_json) as screen:
                 with _crew(plan, jobs, cluster) as crew:
-                    kept.begin(resume=resume, force=force)
+                    if not kept.begin(resume=resume, force=force) and resume and not quiet:
+                        print(nothing_kept(kept.path), file=sys.stderr)
                     states = _module("evolution").evolve(plan, kept, crew, screen)
                 screen.stage("writing")
                 worked = kept.worked

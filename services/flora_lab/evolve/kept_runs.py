@@ -66,12 +66,15 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
         self._before = Worked()
         self._lock: int | None = None
 
-    def begin(self, *, resume: bool, force: bool) -> None:
+    def begin(self, *, resume: bool, force: bool) -> bool:
         """Make sure that the folder is there, of this work, and this process's alone.
 
         Args:
             resume: go on with what is there.
             force: drop what is there, unless it is gone on with: then what is to be replaced is the finished one.
+
+        Returns:
+            Whether there was something to go on with.
 
         Raises:
             BadInput: there is something and neither is asked for, or it is of other work, or another process works in
@@ -89,8 +92,9 @@ class KeptRuns(contextlib.AbstractContextManager["KeptRuns"]):
             elif kept:
                 check_same_work(self.path, self._read_work(), self._work, _REMEDY)
                 self._before = self._read_time()
-                return
+                return True
             files.write_text(self.path / WORK_FILE, json.dumps(self._work, indent=1) + "\n")
+            return False
         except OSError as problem:
             raise BadInput(f"{self.path}: cannot be written ({problem.strerror})") from problem
 

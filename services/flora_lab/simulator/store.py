@@ -233,7 +233,8 @@ def read_stored(path: Path) -> Stored:
     """
     info_path, weights_path = path / INFO_FILE, path / WEIGHTS_FILE
     if not path.is_dir():
-        raise BadInput(f"{path}: no such simulator folder")
+        what = "a file, not a simulator folder" if files.is_file(path) else "no such simulator folder"
+        raise BadInput(f"{path}: {what}")
     if not info_path.is_file():
         raise BadInput(f"{path}: not a simulator, it has no {INFO_FILE}; make one with `flora-lab train`")
     info = read_info(info_path, SimulatorFile, FORMAT)

@@ -18,6 +18,7 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import software
 from flora_lab.simulator.tropism import TropismLaw
 from flora_lab.simulator.tropism_traits import NAMES, PARAMETERS, prior_doubt, prior_mean, prior_spread
+from flora_lab.stopped_work import nothing_kept
 from flora_lab.threads import one_blas_thread
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.growing import range_of, trained, usable
@@ -58,6 +59,8 @@ def train(runs: list[RunTrack], options: TrainOptions, progress: Progress) -> Tr
     saved = checkpoint.begin(resume=options.resume)
     if saved is not None:
         found, done = _restored(saved.arrays, saved.state)
+    elif options.resume:
+        progress.note(nothing_kept(checkpoint.path))
     if done > rounds:
         raise BadInput(
             f"{checkpoint.path}: holds {done} rounds and {rounds} are asked for; give --epochs {done} or more, or "

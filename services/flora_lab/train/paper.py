@@ -26,6 +26,7 @@ from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.lstm_cell import Dense, LstmCell
 from flora_lab.simulator.paper import CELLS, COORDINATES, INPUTS, Box, PaperNetwork, PaperSimulator
 from flora_lab.simulator.store import Provenance, TrackEntry, software
+from flora_lab.stopped_work import nothing_kept
 from flora_lab.train import fused_step
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.curve import curve_png
@@ -205,7 +206,7 @@ def _fit(
         losses = (saved.state["loss_train"], saved.state["loss_validate"])
         progress.note(f"going on after epoch {stopping.epoch}, from {checkpoint.path}")
     elif options.resume:
-        progress.note(f"{checkpoint.path}: no checkpoint; starting from the beginning")
+        progress.note(nothing_kept(checkpoint.path))
     progress.begin(settings["epochs"], stopping.epoch)
     while stopping.epoch < settings["epochs"] and not stopping.is_over:
         epoch = stopping.epoch + 1

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from flora_common.arrays import Array, BoolArray
+from flora_lab.stopped_work import nothing_kept
 from flora_lab.train.checkpoint import Checkpoint
 from flora_lab.train.recipes import Progress, generator
 from flora_lab.train.sequence_losses import CompiledLosses, Losses, TorchLosses
@@ -148,6 +149,8 @@ class SequenceTraining:
         saved = checkpoint.begin(resume=resume)
         if saved is not None:
             self._restore(saved.arrays, saved.state)
+        elif resume:
+            progress.note(nothing_kept(checkpoint.path))
         progress.begin(self.settings.epochs, self.stopping.epoch)
         with one_thread(), checkpoint:
             while self.stopping.epoch < self.settings.epochs and not self.stopping.is_over:
