@@ -78,6 +78,11 @@ class Listener:
         return self.client.connected
 
     @property
+    def has_answered(self) -> bool:
+        """The bus has answered once, be it gone by now."""
+        return self._connected_s is not None
+
+    @property
     def endpoint(self) -> str:
         """Where the bus is to answer."""
         return self._rig.bus_subscribe

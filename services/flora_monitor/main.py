@@ -64,16 +64,23 @@ def _until(listener: Listener, seconds: float | None, began_s: float, *, every_s
 
 
 @contextmanager
-def _summed_up(summary: Callable[[], str]) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a reader who has had enough (``| head``) end the work; one line says what was done."""
+def _summed_up(summary: Callable[[], str], listener: Listener | None = None) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and a reader who has had enough (``| head``) end the work; one line says what was done.
+
+    Work that comes to its own end though the bus of ``listener`` has not answered ends with status 1.
+    """
+    has_failed = False
     try:
         yield
+        has_failed = listener is not None and not listener.has_answered
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     except BrokenPipeError:
         # What is left in the buffer would fail once more when Python ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     print(f"{PROGRAM}: {summary()}", file=sys.stderr, flush=True)
+    if has_failed:
+        raise typer.Exit(1)
 
 
 def _said(board: Board, began_s: float) -> str:
@@ -98,7 +105,7 @@ def tail(
     board, listener, began_s = common.board(), common.listener(pattern, waits=seconds is None), time.monotonic()
     console = Console(highlight=False, soft_wrap=False)
     shown = 0
-    with _summed_up(lambda: _said(board, began_s)):
+    with _summed_up(lambda: _said(board, began_s), listener):
         for batch in _until(listener, seconds, began_s):
             for arrival in batch.arrivals:
                 since_s = board.hear(arrival, batch.real_s)
@@ -137,7 +144,7 @@ def rates(
             if count is not None and board.messages >= count:
                 return
 
-    with _summed_up(lambda: _said(board, began_s)):
+    with _summed_up(lambda: _said(board, began_s), listener):
         if common.as_json:
             told_s = began_s
             for batch in heard():
@@ -246,7 +253,8 @@ def record(
     writer = _new_recording(file, rig)
 
     def summary() -> str:
-        return f"{file}: {writer.messages} recorded, {writer.bytes} bytes; " + _said(board, began_s)
+        done = f"{writer.messages} recorded, {writer.bytes} bytes" if listener.has_answered else "not written"
+        return f"{file}: {done}; " + _said(board, began_s)
 
     def take() -> None:
         flushed_s, is_told = began_s, False
@@ -263,11 +271,13 @@ def record(
                 flushed_s = batch.real_s
                 writer.flush()
 
-    with _summed_up(summary):
+    with _summed_up(summary, listener):
         try:
             take()
         finally:
             writer.close()
+            if not listener.has_answered:
+                file.unlink()
 
 
 def _new_recording(file: Path, rig: str | None) -> RecordingWriter:

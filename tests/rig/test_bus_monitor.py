@@ -161,7 +161,16 @@ def test_without_a_bus_tail_says_so_once_and_waits(bus: Any) -> None:
     assert json.loads(out)["tick"] == 5
 
 
-@pytest.mark.parametrize(("command", "status"), [(["health"], 1), (["replay", "x.mcap"], 1), (["topics"], 0)])
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        (["health"], 1),
+        (["replay", "x.mcap"], 1),
+        (["topics"], 0),
+        (["tail", "--seconds", "0.1"], 1),
+        (["rates", "--seconds", "0.1"], 1),
+    ],
+)
 def test_without_a_bus_the_others_say_so_and_end(bus: Any, command: list[str], status: int, tmp_path: Path) -> None:
     if "x.mcap" in command:
         command = ["replay", str(recording(tmp_path))]
@@ -170,6 +179,20 @@ def test_without_a_bus_the_others_say_so_and_end(bus: Any, command: list[str], s
     assert process.returncode == status
     assert "no bus answers at ipc://" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("ends", ["by itself", "by a signal"])
+def test_without_a_bus_no_empty_recording_is_left(bus: Any, tmp_path: Path, ends: str) -> None:
+    file = tmp_path / "a.mcap"
+    record = monitor(bus, "record", str(file), *(["--seconds", "0.1"] if ends == "by itself" else []))
+    assert record.stderr is not None
+    assert "no bus answers at ipc://" in record.stderr.readline()
+    if ends == "by a signal":
+        record.send_signal(signal.SIGINT)
+    _, err = record.communicate(timeout=20)
+    assert record.returncode == (1 if ends == "by itself" else 0)
+    assert err.startswith(f"flora-monitor: {file}: not written; 0 messages")
+    assert list(tmp_path.glob("*.mcap*")) == []
 
 
 def recording(folder: Path) -> Path:
