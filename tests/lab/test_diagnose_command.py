@@ -300,6 +300,18 @@ def test_a_simulator_that_is_damaged_is_told(
     assert "gone: no such simulator folder" in gone
 
 
+def test_what_cannot_be_used_is_told_before_anything_that_is_noted_on_runs(
+    runs: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "good.csv"
+    shutil.copy(measured(runs)[0], bare)
+    out = str(tmp_path / "out")
+    for more in (["--simulator", str(tmp_path / "gone")], ["--reference", str(tmp_path), "--holdout", "none"]):
+        assert main(["diagnose", str(bare), *more, "-o", out]) == 2
+        said = capfd.readouterr().err
+        assert (said.count("\n"), "note: " in said) == (1, False)
+
+
 def test_its_help_is_at_hand(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diagnose", "--help"]) == 0
     assert "--reference" in capsys.readouterr().out

@@ -170,8 +170,13 @@ def diagnose(
     Raises:
         BadInput: anything that cannot be read, or is too little.
     """
-    runs = read_runs(paths, note)
+    if simulator is not None:
+        read_stored(simulator)  # before the runs are read, and noted on: what cannot be used is the first line
+    notes: list[str] = []
+    runs = read_runs(paths, notes.append)
     further = read_holdout(holdout, runs)
+    for text in notes:
+        note(text)
     start = start_from(runs, further, simulator, reference, stage)
     terms = start.simulator.terms
     scenes = runs.scenes(start.usual_c, terms)
