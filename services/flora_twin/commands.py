@@ -192,7 +192,7 @@ def grow_runs(
             seed, open_loops=open_loop, closed_loops=closed_loop, hours=hours, random_loops=random_loop
         )
         _photograph(output, planned, hours, quiet=quiet, force=force)
-        typer.echo(f"photographed {len(planned)} run{'s' * (len(planned) != 1)} of {hours:g} h in {output}")
+        typer.echo(f"photographed {counted(len(planned), 'run')} of {hours:g} h in {output}")
         return
     runs = dataset_runs(
         seed,

@@ -283,7 +283,8 @@ def _grow(rig: VirtualRig, asked: Experiment, console: Console) -> None:
         def each(seen: Seen) -> None:
             schedule(seen)
             if seen.tick is not None:
-                progress.update(bar, completed=seen.tick.time_s / 3600, description=describe(seen))
+                grown_h = min(seen.tick.time_s / 3600, asked.hours)  # the last tick may come after them
+                progress.update(bar, completed=grown_h, description=describe(seen))
 
         try:
             rig.run(lambda seen: is_enough(seen, asked), each=each)
