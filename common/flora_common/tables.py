@@ -26,6 +26,10 @@ MOST_NUMBER: Final = 1e30
 
 _SEPARATORS: Final = (",", ";", "\t")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
+_NUMBER: Final = re.compile(
+    r"\s*[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf(?:inity)?|nan)\s*", re.ASCII | re.IGNORECASE
+)
+"""Python itself takes `1_5` for 15, and the digits of every script: neither is what a table's writer means."""
 _HOLDS: Final = {
     "time_s": " (seconds, or date and time such as 2026-05-02T08:00:00)",
     "light": " (the lamp that shone: left, right, dark or both)",
@@ -75,11 +79,7 @@ def is_missing(text: str) -> bool:
 
 def is_measured(text: str) -> bool:
     """Whether a field holds a number, be it one that nobody can have measured (inf); NaN is the word for none."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return not is_missing(text)
+    return _NUMBER.fullmatch(text) is not None and not is_missing(text)
 
 
 def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, unit: str = "") -> float:
@@ -95,10 +95,9 @@ def finite_number(text: str, name: str, where: str, most: float = MOST_NUMBER, u
     name = clipped(name)
     if not text.strip():
         raise BadRunFolder(f"{where}: {name} is empty, where a number is needed")
-    try:
-        value = float(text)
-    except ValueError:
-        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a number") from None
+    if _NUMBER.fullmatch(text) is None:
+        raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a number")
+    value = float(text)
     if not math.isfinite(value):
         raise BadRunFolder(f"{where}: {name} is `{text[:40]}`, not a finite number")
     if abs(value) > most:

@@ -20,6 +20,8 @@ from flora_monitor.listen import IS_IT_RUNNING, Listener
 from flora_monitor.stats import Board, checked_pattern, matches
 
 DEFAULT_TICK_S: Final = 300.0
+LEAST_TICK_S: Final = 0.001
+MOST_TICK_S: Final = 86_400.0
 BESIDES: Final = (ONLY_LOOKS, COMES_AND_GOES)
 """A rig is well without them, and they tell their health."""
 
@@ -77,6 +79,13 @@ class Common:
         return Listener(self.rig, only_rig=self.only_rig, pattern=pattern, without_bus=without_bus)
 
 
+def _checked_interval(value: float | None) -> float | None:
+    """As long as run.toml may say; NaN is no such time."""
+    if value is not None and not LEAST_TICK_S <= value <= MOST_TICK_S:
+        raise BadInput(f"--interval: {value:g} does not lie in [{LEAST_TICK_S:g}, {MOST_TICK_S:g}]")
+    return value
+
+
 Pattern = Annotated[
     str, typer.Argument(help="Glob on <rig>/<kind>, or on the kind alone.", metavar="PATTERN", callback=checked_pattern)
 ]
@@ -88,7 +97,10 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object a line; also
 Count = Annotated[int | None, typer.Option("--count", min=1, help="End after this many messages.")]
 Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, help="End after this many seconds.")]
 Interval = Annotated[
-    float | None, typer.Option("--interval", min=0.001, help="Seconds between ticks; as run.toml says where not given.")
+    float | None,
+    typer.Option(
+        "--interval", callback=_checked_interval, help="Seconds between ticks; as run.toml says where not given."
+    ),
 ]
 
 

@@ -75,6 +75,15 @@ def test_the_private_key_is_its_owners_alone_and_neither_half_is_ever_replaced(
     assert b"BEGIN PRIVATE KEY" in before
 
 
+def test_a_folder_in_which_no_key_can_be_made_is_told_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert main(["keygen", "-o", str(tmp_path / "keys")]) == 2
+    said = f"nothing may be made in {tmp_path}; name another place with -o\n"
+    assert capsys.readouterr().err.endswith(said)
+
+
 def test_two_key_pairs_are_two_keys(pair: Path, tmp_path: Path) -> None:
     main(["keygen", "-o", str(tmp_path / "other")])
 

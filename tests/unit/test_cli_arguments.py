@@ -51,6 +51,13 @@ def test_an_option_that_does_not_exist_is_one_line_and_status_2(
     assert told.err.endswith(f"(see {command} --help)\n")
 
 
+@pytest.mark.parametrize("interval", ["inf", "nan", "0", "1e9"])
+def test_an_interval_that_no_run_has_is_refused(interval: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main_of("flora-monitor")(["rates", "--interval", interval]) == 2
+    said = f"flora-monitor: --interval: {float(interval):g} does not lie in [0.001, 86400]\n"
+    assert capsys.readouterr().err == said
+
+
 @pytest.mark.parametrize("arguments", [("flora-lab", "track", ""), ("flora-monitor", "check", "a.mcap", "")])
 def test_an_empty_argument_is_not_the_current_folder(
     arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]

@@ -12,7 +12,7 @@ import typer
 from flora_common.controller_file import LARGEST_SERIAL, SUFFIX, load_controller
 from flora_common.errors import BadInput
 from flora_common.files import write_bytes
-from flora_common.outputs import beginning, check_file
+from flora_common.outputs import beginning, can_be_made, check_file
 
 
 def register(app: typer.Typer) -> None:
@@ -35,6 +35,7 @@ def keygen(
 
     from flora_lab.publish.keys import PRIVATE_NAME, PUBLIC_NAME, write_key_pair  # noqa: PLC0415
 
+    can_be_made(output / PRIVATE_NAME)
     key = write_key_pair(output, Ed25519PrivateKey.generate(), comment=comment)
     private, public = output / PRIVATE_NAME, output / PUBLIC_NAME
     if as_json:
