@@ -51,6 +51,22 @@ def test_typical_plants_are_found_within_the_doubt() -> None:
     assert (np.diag(base().doubt) < 0.3 * np.array([0.4, 0.3, 0.3, 0.15, 0.3, 0.7, 0.7, 0.7, 0.5])).all()
 
 
+@pytest.mark.parametrize(("away", "goes"), [(1.5, 1.5), (15.0, 3.0)])
+def test_what_is_typical_is_sought_about_the_plants_and_not_where_a_line_through_them_leads(
+    monkeypatch: pytest.MonkeyPatch, away: float, goes: float
+) -> None:
+    """Of plants that stiffened within 8 cm, nine of a stranger's runs, linear about each, told 0.5 cm as typical."""
+    middle, usual, start = prior_mean(), np.sqrt(np.diag(prior_spread())), base()
+    direction = np.zeros(len(NAMES))
+    direction[[NAMES.index("stiffening_cm"), NAMES.index("mature_cm")]] = -1.0, 0.5
+    told = middle + away * usual * direction, start.doubt
+    monkeypatch.setattr(learn.marginal, "typical", lambda *_: told)
+    monkeypatch.setattr(learn.marginal, "sizes_and_spread", lambda *_: (start.sizes, start.spread))
+    found = learn._population([], start, middle, usual)
+    assert found.mean == pytest.approx(middle + goes * usual * direction)
+    assert (found.doubt == start.doubt).all()
+
+
 def test_how_plants_differ_is_found() -> None:
     assert base().runs == len(REFERENCE)
     for matrix in (base().spread, base().doubt):

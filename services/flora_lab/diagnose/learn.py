@@ -26,6 +26,8 @@ _CATCHES_UP: Final = 0.2
 """Share of what a law is behind that its second round must make up for, for a third one to be worth its time."""
 _FAR_WORSE: Final = 2.0
 _FAR_OFF: Final = 4.5
+_STEP: Final = 3.0
+"""How far from the middle of the plants the typical one is sought, in units of how they differ."""
 _FIRST_SD: Final = np.array([0.08, 0.06])
 """How seedlings are expected to differ in the logarithm of their length, and in lean, rad."""
 _FIRST_STRENGTH: Final = 3.0
@@ -121,7 +123,8 @@ def _together(runs: Sequence[Ready], so_far: Base, fits: list[Found], parts: lis
     """What the plants of fits have in common, and what happens by chance about them."""
     alone = so_far.of_single_runs()
     linear = [_linear(alone, *of_run) for of_run in zip(runs, fits, parts, strict=True)]
-    base = _population([one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near], so_far)
+    near = [one for one, is_near in zip(linear, _are_near(fits), strict=True) if is_near]
+    base = _population(near, so_far, *_middle(fits))
     evidence = marginal.evidence(linear, base.mean, base.sizes, base.spread + base.doubt)
     return Learned(base, fits, parts, evidence)
 
@@ -147,10 +150,16 @@ def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -
 
 def _are_near(fits: Sequence[Found]) -> list[bool]:
     """Whether each is of a plant like most others: one that ended in a corner must not tell how plants differ."""
+    middle, usual = _middle(fits)
+    return [bool((np.abs(fit.traits[0] - middle) / usual).max() <= _FAR_OFF) for fit in fits]
+
+
+def _middle(fits: Sequence[Found]) -> tuple[Array, Array]:
+    """The middle of the plants of some fits, and how far from it most are, each of shape (9,)."""
     values = np.concatenate([fit.traits for fit in fits])
-    away = np.abs(values - np.median(values, axis=0))
-    usual = np.maximum(np.median(away, axis=0), np.sqrt(np.diag(prior_spread())))
-    return [bool((one / usual).max() <= _FAR_OFF) for one in away]
+    middle = np.median(values, axis=0)
+    away = np.median(np.abs(values - middle), axis=0)
+    return middle, np.maximum(away, np.sqrt(np.diag(prior_spread())))
 
 
 def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
@@ -161,13 +170,29 @@ def _linear(alone: Base, run: Ready, fit: Found, parts: Array) -> Linear:
     return Linear(scene.features - told + slopes @ np.concatenate([fit.traits[0], fit.start[0]]), slopes, parts)
 
 
-def _population(runs: Sequence[Linear], base: Base) -> Base:
-    """What is known of plants after some runs; what is typical and how plants differ take turns."""
+def _population(runs: Sequence[Linear], base: Base, middle: Array, usual: Array) -> Base:
+    """What is known of plants after some runs; what is typical and how plants differ take turns.
+
+    Runs are linear about their own plants only. Where they hardly tell a combination of constants (stems that stiffen
+    within half a centimetre, or within eight and mature earlier), what is typical would be found far from all of them,
+    and a round later far on the other side; so it goes some way only.
+
+    Args:
+        runs: about their own plants.
+        base: what was known of chance and differences.
+        middle, usual: of these plants, and how far most are from it, each of shape (9,).
+    """
     known = prior_mean(), _known_doubt()
-    mean, _ = marginal.typical(runs, base.sizes, base.spread, known)
+
+    def typical(sizes: Array, spread: Array) -> tuple[Array, Array]:
+        mean, doubt = marginal.typical(runs, sizes, spread, known)
+        far = float((np.abs(mean - middle) / usual).max())
+        return middle + (mean - middle) * min(1.0, _STEP / far), doubt
+
+    mean, _ = typical(base.sizes, base.spread)
     for _ in range(_TURNS):
         sizes, spread = marginal.sizes_and_spread(runs, mean, base.sizes)
-        mean, doubt = marginal.typical(runs, sizes, spread, known)
+        mean, doubt = typical(sizes, spread)
     return replace(base, mean=mean, spread=spread, doubt=doubt, sizes=sizes)
 
 
