@@ -21,6 +21,7 @@ from flora_common.toml_strict import convert, read_toml
 from flora_controller.core import ControllerSection
 from flora_lab.diagnose import chance
 from flora_lab.diagnose import next_experiment as next_experiment_module
+from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.explanation import Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
@@ -28,7 +29,9 @@ from flora_lab.diagnose.joint import Base, Found, Joint, ready
 from flora_lab.diagnose.next_experiment import (
     CLOSE_NATS,
     MOST,
+    NOT_IN_CATALOGUE,
     NOTHING,
+    NOTHING_NEAR,
     Candidate,
     candidates_of,
     lost,
@@ -41,6 +44,7 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.schedules import CHOICE, Schedule, controller_config, write_experiment
 from flora_lab.diagnose.schedules import turns as turns_of
 from flora_lab.diagnose.search import best_start
+from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import load_run
@@ -206,7 +210,11 @@ def test_who_comes_into_question() -> None:
         ("gravitropism", 0.0),
         ("proprioception", CLOSE_NATS - 0.5),
     ]
-    assert next_experiment(scenes, base, explanation_of(scenes, base, {"gravitropism": 20.0})).map == {}
+    alone = explanation_of(scenes, base, {"gravitropism": 20.0})
+    asked = next_experiment(scenes, base, alone)
+    assert (asked.map, asked.why) == ({}, NOTHING_NEAR)
+    nameless = Unnamed("growth", COURSES[0], 12.0, np.zeros(1))
+    assert next_experiment(scenes, base, replace(alone, unnamed=nameless)).why == NOT_IN_CATALOGUE
     many = dict.fromkeys(("gravitropism", "proprioception", "sag", "draught", "camera_roll"), 10.0)
     assert len(candidates_of(explanation_of(scenes, base, many))) == MOST
 

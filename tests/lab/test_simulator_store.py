@@ -115,6 +115,11 @@ def test_what_is_no_simulator_is_told(tmp_path: Path) -> None:
     (tmp_path / "good.csv").write_text("time_s,light\n")
     with pytest.raises(BadInput, match=r"good\.csv: a file, not a simulator folder"):
         read_stored(tmp_path / "good.csv")
+    write(tmp_path / "diagnosis" / "base.simulator")
+    with pytest.raises(
+        BadInput, match=r"not a simulator, it has no simulator\.toml; name .*diagnosis/base\.simulator$"
+    ):
+        read_stored(tmp_path / "diagnosis")
     with pytest.raises(BadInput, match="no such simulator folder"):
         read_stored(tmp_path / "absent")
     with pytest.raises(BadInput, match=r"it has no simulator\.toml"):

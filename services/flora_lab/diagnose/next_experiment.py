@@ -44,6 +44,10 @@ MUCH_NATS: Final = 2.0
 NOTHING: Final = "nothing"
 NOTHING_TOLD: Final = "nothing at all"
 """How that is called where a person reads it."""
+NOTHING_NEAR: Final = "Nothing else comes near: no further run is needed to tell causes apart."
+NOT_IN_CATALOGUE: Final = (
+    "Something that is not in the catalogue is at work, and no light tells what: look at the runs, and at the box."
+)
 _STEPS: Final = 8
 _STEPS_TO_SUIT: Final = 4
 _PICTURES: Final[Mapping[str, str]] = {
@@ -88,7 +92,7 @@ def next_experiment(
     """
     candidates = candidates_of(explanation)
     if len(candidates) < 2:
-        return NextExperiment(why="Nothing else comes near: no further run is needed to tell causes apart.")
+        return NextExperiment(why=NOTHING_NEAR if explanation.unnamed is None else NOT_IN_CATALOGUE)
     told = separating(scenes, base, candidates, explanation.swing, errors=errors)
     best, others = candidates[0], candidates[1:]
     asked = {other.name: told[best.name, other.name] for other in others}

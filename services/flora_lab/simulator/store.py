@@ -236,7 +236,9 @@ def read_stored(path: Path) -> Stored:
         what = "a file, not a simulator folder" if files.is_file(path) else "no such simulator folder"
         raise BadInput(f"{path}: {what}")
     if not info_path.is_file():
-        raise BadInput(f"{path}: not a simulator, it has no {INFO_FILE}; make one with `flora-lab train`")
+        within = sorted(one.parent.name for one in path.glob(f"*/{INFO_FILE}"))
+        advice = f"name {path / within[0]}" if within else "make one with `flora-lab train`"
+        raise BadInput(f"{path}: not a simulator, it has no {INFO_FILE}; {advice}")
     info = read_info(info_path, SimulatorFile, FORMAT)
     data = read_named(weights_path, info.weights_sha256, INFO_FILE)
     try:
