@@ -133,6 +133,21 @@ def wavering(run: MeasuredRun, seed: int) -> MeasuredRun:
     return replace(run, points_cm=run.points_cm + harder[:, None, None] * aside_cm)
 
 
+def knocked(run: MeasuredRun, at_h: float = 54.5, comes_back_h: float = 4.0) -> MeasuredRun:
+    """A run whose stem is bent once, and comes back."""
+    aside_cm = gusts.held_aside_cm(run.points_cm, float(blown(4.0 * DRIVE_PER_CM_H).terms[WIND]), SOFTNESS_CM)
+    since_h = np.arange(len(run.points_cm)) * run.step_s / 3600.0 - at_h
+    bent = np.where(since_h >= 0.0, np.exp(-np.maximum(since_h, 0.0) / comes_back_h), 0.0)
+    return replace(run, points_cm=run.points_cm + bent[:, None, None] * aside_cm)
+
+
+def test_what_bends_stems_once_is_no_wind(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [knocked(run_of(seed, hours=72.0)) for seed in (82, 84)]
+    assert weighed(runs).gusts.evidence < 10.0
+    monkeypatch.setattr(gusts, "_MUCH", np.inf)
+    assert weighed(runs).gusts.evidence > 50.0
+
+
 def test_a_wind_that_plants_lean_hides_is_told_by_its_gusts() -> None:
     draught = weighed([gusty(seed, WEAK_PER_CM_H) for seed in (82, 84)])
     assert draught.found is not None

@@ -36,6 +36,11 @@ _BY_THEMSELVES: Final = 10.0
 _QUICK: Final = 5.5
 """Nats that gusts of an hour or less must come to beside such as last for hours: of nine drawn winds those with slow
 gusts alone have come to 5.1 at most, and those with quick ones to 6.3 at least."""
+_MUCH: Final = 30.0
+"""Nats of one run from which on it is asked whether gusts come all the time."""
+_PARTS, _LEFT = 12, 0.4
+"""Without any two of so many parts of a run in a row at least that share of its nats must be left: who knocks at a pot
+once, or bends a stem, makes no wind."""
 _TRIED: Final = tuple(itertools.product(SHARES, repeat=len(MEMORIES_H)))
 _SLOW: Final = [number for number, shares in enumerate(_TRIED) if not any(shares[:-1])]
 """No gusts, or such as last for hours alone."""
@@ -113,11 +118,25 @@ def _nats(joint: Joint, scene: Scene, answers: Answers, found: Found, run: int) 
     parts = np.stack([seen(part) for part in _of_means_of_each(scene, away)])
     more = seen(chance.of_wander(scene, answers, joint.base.sizes))
     rest = white(residual)
-    out = np.empty(len(_TRIED))
-    for tried, shares in enumerate(_TRIED):
+
+    def probability(shares: tuple[float, ...], kept: Array) -> float:
         gusty = np.eye(len(rest)) + np.einsum("i,ijk->jk", np.square(shares), parts)
-        out[tried] = max(_probability(rest, gusty + times * more) for times in _MORE)
-    return np.asarray(out - out[_TRIED.index(CALM.shares)])
+        some = np.ix_(kept, kept)
+        return max(_probability(rest[kept], (gusty + times * more)[some]) for times in _MORE)
+
+    whole = np.arange(len(rest))
+    out = np.array([probability(shares, whole) for shares in _TRIED])
+    out -= out[_TRIED.index(CALM.shares)]
+    best = int(np.argmax(out))
+    if out[best] < _MUCH:
+        return out
+    stretches = np.array_split(whole, _PARTS)
+    left = min(
+        probability(_TRIED[best], kept) - probability(CALM.shares, kept)
+        for first, second in itertools.pairwise(stretches)
+        for kept in [np.setdiff1d(whole, np.concatenate([first, second]))]
+    )
+    return out if left > _LEFT * out[best] else out * (max(left, 0.0) / out[best])
 
 
 def covariance(scene: Scene, found: Found, run: int, gusts: Gusts) -> Array:
