@@ -97,16 +97,15 @@ class Result:
 
 
 def start_from(
-    runs: Runs, held_out: Runs | None, simulator: Path | None, reference: Path | None, stage: OnStage
+    runs: Runs, held_out: Runs | None, stored: Stored | None, reference: Path | None, stage: OnStage
 ) -> Start:
-    """Learn the base, or read it.
+    """Learn the base, or take it from a simulator that was read.
 
     Raises:
-        BadInput: see :func:`flora_lab.diagnose.inputs.read_reference`,
-            :func:`flora_lab.diagnose.inputs.check_known` and :func:`flora_lab.simulator.store.read_stored`; it was
-            learned from runs that are diagnosed or held out, or is none that a diagnosis can start from.
+        BadInput: see :func:`flora_lab.diagnose.inputs.read_reference` and
+            :func:`flora_lab.diagnose.inputs.check_known`; it was learned from runs that are diagnosed or held out, or
+            is none that a diagnosis can start from.
     """
-    stored = read_stored(simulator) if simulator is not None else None
     if stored is not None:
         seen = stored.info.provenance.track
         check_unseen(runs, {track.sha256 for track in seen if track.part != EXTENSION})
@@ -119,8 +118,8 @@ def start_from(
         check_unseen(held_out, {track.sha256 for track in healthy.tracks})
         start = _learned(healthy, "the runs of --reference", counted(len(healthy.measured), "reference run"), stage)
         return replace(start, judged=stored)
-    assert simulator is not None
     assert stored is not None
+    simulator = stored.path
     if stored_base.is_known(stored):
         read = RodSimulator.from_stored(stored)
         if any(extension.effect == SWING for extension in read.extensions):
@@ -170,14 +169,14 @@ def diagnose(
     Raises:
         BadInput: anything that cannot be read, or is too little.
     """
-    if simulator is not None:
-        read_stored(simulator)  # before the runs are read, and noted on: what cannot be used is the first line
+    # before the runs are read, and noted on: what cannot be used is the first line
+    stored = read_stored(simulator) if simulator is not None else None
     notes: list[str] = []
     runs = read_runs(paths, notes.append)
     further = read_holdout(holdout, runs)
     for text in notes:
         note(text)
-    start = start_from(runs, further, simulator, reference, stage)
+    start = start_from(runs, further, stored, reference, stage)
     terms = start.simulator.terms
     scenes = runs.scenes(start.usual_c, terms)
     with one_blas_thread():
