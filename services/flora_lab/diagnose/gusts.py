@@ -71,6 +71,7 @@ def best_gusts(joint: Joint, scenes: Sequence[Scene], answers: Sequence[Answers]
     A wind that blows on all runs comes and goes in all: what one shows more than any other is taken for no more than
     what that one shows, for any plant may waver by itself. Nor does a wind show by what lasts for hours alone: a law
     that is a little wrong leaves as much, so the quicker gusts must be worth :data:`_QUICK` by themselves.
+    And what a single stretch of a run shows does not count where little is left without it.
 
     Args:
         joint: the runs, whitened for what happens by chance without gusts.
@@ -119,24 +120,33 @@ def _nats(joint: Joint, scene: Scene, answers: Answers, found: Found, run: int) 
     more = seen(chance.of_wander(scene, answers, joint.base.sizes))
     rest = white(residual)
 
-    def probability(shares: tuple[float, ...], kept: Array) -> float:
-        gusty = np.eye(len(rest)) + np.einsum("i,ijk->jk", np.square(shares), parts)
-        some = np.ix_(kept, kept)
-        return max(_probability(rest[kept], (gusty + times * more)[some]) for times in _MORE)
+    def gusty(shares: tuple[float, ...]) -> Array:
+        return np.asarray(np.eye(len(rest)) + np.einsum("i,ijk->jk", np.square(shares), parts))
 
-    whole = np.arange(len(rest))
-    out = np.array([probability(shares, whole) for shares in _TRIED])
+    out = np.array([_likeliest(rest, gusty(shares), more) for shares in _TRIED])
     out -= out[_TRIED.index(CALM.shares)]
     best = int(np.argmax(out))
     if out[best] < _MUCH:
         return out
-    stretches = np.array_split(whole, _PARTS)
-    left = min(
-        probability(_TRIED[best], kept) - probability(CALM.shares, kept)
-        for first, second in itertools.pairwise(stretches)
-        for kept in [np.setdiff1d(whole, np.concatenate([first, second]))]
-    )
+    left = _left_elsewhere(rest, gusty(_TRIED[best]), more)
     return out if left > _LEFT * out[best] else out * (max(left, 0.0) / out[best])
+
+
+def _left_elsewhere(rest: Array, gusty: Array, more: Array) -> float:
+    """Nats for gusts without that stretch of a run, two of :data:`_PARTS` in a row, in which most of them are."""
+    whole, calm = np.arange(len(rest)), np.eye(len(rest))
+    left = []
+    for first, second in itertools.pairwise(np.array_split(whole, _PARTS)):
+        kept = np.setdiff1d(whole, np.concatenate([first, second]))
+        some = np.ix_(kept, kept)
+        with_gusts, without = (_likeliest(rest[kept], own[some], more[some]) for own in (gusty, calm))
+        left.append(with_gusts - without)
+    return min(left)
+
+
+def _likeliest(rest: Array, gusty: Array, more: Array) -> float:
+    """The probability of what is left, see :func:`_probability`, where the run wanders as suits it best."""
+    return max(_probability(rest, gusty + times * more) for times in _MORE)
 
 
 def covariance(scene: Scene, found: Found, run: int, gusts: Gusts) -> Array:

@@ -135,7 +135,7 @@ def _known_doubt() -> Array:
 
 def _from_the_middle(runs: Sequence[Ready], base: Base, fits: Sequence[Found]) -> list[Found]:
     """Fits that ended much worse than the others, or far from them, once more, from where these ended."""
-    middle = np.median([fit.traits[0] for fit in fits], axis=0)
+    middle, _ = _middle(fits)
     usual = float(np.median([fit.misfit for fit in fits]))
     out = []
     for one, fit, is_near in zip(runs, fits, _are_near(fits), strict=True):
@@ -187,7 +187,7 @@ def _population(runs: Sequence[Linear], base: Base, middle: Array, usual: Array)
     def typical(sizes: Array, spread: Array) -> tuple[Array, Array]:
         mean, doubt = marginal.typical(runs, sizes, spread, known)
         far = float((np.abs(mean - middle) / usual).max())
-        return middle + (mean - middle) * min(1.0, _STEP / far), doubt
+        return middle + (mean - middle) * (_STEP / max(_STEP, far)), doubt
 
     mean, _ = typical(base.sizes, base.spread)
     for _ in range(_TURNS):
