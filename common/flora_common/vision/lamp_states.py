@@ -143,8 +143,7 @@ def from_frames(frames: Sequence[Picture], *, anchor_px: tuple[float, float], wi
 
     At each pixel the frames are put in order of how plant-like they are, and the least plant-like but few are averaged:
     a place shows what it looks like empty as soon as the plant is away from it in a quarter of the frames. The foot of
-    a stem never is, nor are leaves low on it: what stays greener than all round it and hangs together with the anchor,
-    between that and all that moves, is taken for plant, and its surroundings are put in its place.
+    a stem never is: it is told by where it leads (:mod:`.still_plant`), and its surroundings are put in its place.
 
     Args:
         frames: at least 5, all of one size, full resolution, spread over the whole stretch of time.

@@ -33,7 +33,7 @@ ACROSS_PX: Final = 10.0
 
 
 def replace(empty: ByteArray, moves: ByteArray, anchor_px: tuple[float, float], widest_px: float) -> None:
-    """Put the surroundings in place of the part of a plant that never moves; changes ``empty``.
+    """Put the surroundings in place of the part of a stem that never moves; changes ``empty``.
 
     Args:
         empty: what the setup is taken for so far, in logarithmic code, shape (height, width, 3).
@@ -74,20 +74,22 @@ def _moving_plant(moves: ByteArray, anchor_px: tuple[float, float], widest_px: f
 
     Noise moves in small areas, and in the dark at the margin; another plant is farther off.
     """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(moves)
-    row, column = np.nonzero(labels)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(moves)
+    area = stats[:, cv2.CC_STAT_AREA] / widest_px**2
+    area[0] = 0.0  # where nothing moves
+    parts = area[labels] >= LEAST_PART
+    row, column = np.nonzero(parts)
     places, label = np.stack([column, row], axis=1), labels[row, column]
-    area = stats[label, cv2.CC_STAT_AREA] / widest_px**2
     away = np.hypot(*(places - anchor_px).T)
-    if not (area >= LEAST_AREA).any():
+    large = area[label] >= LEAST_AREA
+    if not large.any():
         return []
-    first = int(np.argmin(np.where(area >= LEAST_AREA, away, np.inf)))
+    first = int(np.argmin(np.where(large, away, np.inf)))
     reach = 2 * round(0.5 * APART * widest_px) + 1
-    parts = np.isin(labels, label[area >= LEAST_PART]).astype(np.uint8)
-    _, groups = cv2.connectedComponents(cv2.dilate(parts, np.ones((reach, reach), np.uint8)))
-    mine = (area >= LEAST_PART) & (groups[row, column] == groups[row[first], column[first]])
+    _, groups = cv2.connectedComponents(cv2.dilate(parts.astype(np.uint8), np.ones((reach, reach), np.uint8)))
+    mine = groups[row, column] == groups[row[first], column[first]]
     order = np.argsort(away, kind="stable")
-    return [places[order][label[order] == one] for one in range(1, count) if (mine & (label == one)).any()]
+    return [places[order][label[order] == one] for one in np.unique(label[mine])]
 
 
 def _ways(out: Float32Array, places: IntArray, widest_px: float) -> list[IntArray]:
