@@ -36,7 +36,7 @@ NOTES: Final[Mapping[Where, str]] = {
     "plant": "These extend the simulator.",
     "camera": "These correct the tracks (`corrected/*.csv`): plants do nothing unusual.",
     "clock": "These correct the tracks, too.",
-    "simulator": "Looked for in a simulator that was given and learned by the paper's recipe; it is mended.",
+    "simulator": "These mend the simulator; `memory` is looked for only in one that was learned by the paper's recipe.",
 }
 FORMS: Final = "Nature may do it in one of several ways, between which the data choose (`form`, counted from 0)"
 

@@ -17,7 +17,7 @@ from flora_lab.diagnose import figures, figures_of_runs
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page, sure_text, value_text, verdict_sentence
-from flora_lab.diagnose.residuals import ResidualTables, reference_residuals, residuals_of
+from flora_lab.diagnose.residuals import ReferenceResiduals, ResidualTables, reference_residuals, residuals_of
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Change
@@ -56,15 +56,18 @@ def push(change: Change) -> None:
 
 
 @functools.cache
+def reference() -> ReferenceResiduals:
+    others = [scene_of(f"reference{seed}", seed, hours=26.0) for seed in range(4)]
+    return reference_residuals([scene for scene, _ in others], BASE, [found_of([s], [own]) for s, own in others])
+
+
+@functools.cache
 def judged() -> tuple[Residuals, ResidualTables, ResidualTables]:
     """Two runs beside the simulator, and beside itself as if it had been extended."""
-    others = [scene_of(f"reference{seed}", seed, hours=26.0) for seed in range(4)]
-    fits = [found_of([scene], [traits]) for scene, traits in others]
-    reference = reference_residuals([scene for scene, _ in others], BASE, fits)
     runs = [scene_of(name, seed, hours=26.0, effect=push) for seed, name in ((7, "$one$ <b>"), (8, "two"))]
     scenes, traits = [scene for scene, _ in runs], [own for _, own in runs]
-    said, base = residuals_of(scenes, BASE, found_of(scenes, traits, 2.0), reference)
-    _, extended = residuals_of(scenes, BASE, found_of(scenes, [own + 0.05 for own in traits]), reference)
+    said, base = residuals_of(scenes, BASE, found_of(scenes, traits, 2.0), reference())
+    _, extended = residuals_of(scenes, BASE, found_of(scenes, [own + 0.05 for own in traits]), reference())
     return said, base, extended
 
 
@@ -94,6 +97,15 @@ def test_pictures_show_both_simulators_and_without_causes_one() -> None:
         assert {BLUE, ORANGE} <= both
         assert BLUE in one
         assert ORANGE not in one
+
+
+def test_hours_without_a_measured_stem_are_said_to_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures_of_runs, "png", lambda figure: figure)
+    scene, traits = scene_of("gap", 9, hours=26.0, hidden=slice(130, 160))  # 10.8 to 13.2 h
+    _, base = residuals_of([scene], BASE, found_of([scene], [traits]), reference())
+    written = {ax.get_title(): [text.get_text() for text in ax.texts] for ax in figures_of_runs.stems(base, None).axes}
+    assert written["12 h"] == ["not measured"]
+    assert written["24 h"] == []
 
 
 def test_the_same_tables_give_the_same_picture() -> None:
@@ -170,9 +182,11 @@ def test_a_page_of_nothing_wrong_names_no_cause() -> None:
 def test_a_page_of_something_unexplained_says_what_is_left() -> None:
     residuals = msgspec.structs.replace(judged()[0], left="The tip stands still above 14 cm.")
     odd = diagnosis("unexplained", causes=[], gain=Gain(), residuals=residuals)
-    read = Reader(page(odd, {}))
+    read = Reader(page(odd, {"evidence": b""}))
     assert "no known cause explains" in read.text
     assert "The tip stands still above 14 cm." in read.text
+    assert "None is named, however far its bar goes" in read.text
+    assert "None is named" not in Reader(page(diagnosis(), {"evidence": b""})).text
 
 
 @pytest.mark.parametrize("name", sorted(BY_NAME))

@@ -88,10 +88,16 @@ def test_a_day_rhythm_of_growth_is_told_with_its_hours() -> None:
 
 def test_a_swing_stands_out_at_its_period() -> None:
     said, tables = judged(2.0, swing_cm=0.5)
-    assert "every 1.7 h" in said.description
+    assert "by 5.1 mm to either side every 1.7 h" in said.description
     for curve in tables.shown.swing_mm:
         assert SWING_PERIODS_H[np.argmax(curve)] == pytest.approx(1.7, rel=0.05)
         assert curve.max() == pytest.approx(5.0, rel=0.35)
+
+
+def test_a_restless_tip_is_not_said_to_have_a_period() -> None:
+    said, _ = judged(2.0, noise_cm=0.12)
+    assert "at no period of its own" in said.description
+    assert "swings by" not in said.description
 
 
 def test_runs_that_fit_badly_are_significant_whatever_they_look_like() -> None:

@@ -72,6 +72,8 @@ def stems(base: ResidualTables, extended: ResidualTables | None) -> bytes:
             for stem, colour, order in [*lines, (run.measured_cm, MEASURED, 4)]:
                 ax.plot(*stem[at].T, color=colour, linewidth=2.0, solid_capstyle="round", zorder=order)
                 ax.plot(*stem[at, -1], "o", color=colour, markersize=3.5, zorder=order)
+            if not np.isfinite(run.measured_cm[at]).any():
+                ax.text(0.5, 0.97, "not measured", fontsize=7, ha="center", va="top", transform=ax.transAxes)
             ax.set(xlim=(-half, half), ylim=(0.0, top))
             ax.set_aspect("equal", adjustable="box")
             ax.tick_params(labelsize=7)

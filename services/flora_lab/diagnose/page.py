@@ -42,6 +42,7 @@ _PLANTS: Final[dict[Plant, str]] = {
     ),
 }
 _EXTENDED: Final = "Where orange follows black, the causes make up for it."
+_NAMELESS: Final = "None is named, however far its bar goes, for none of them makes up for all that is wrong."
 _UNITS: Final = (("_per_cm_h", " /(cm h)"), ("_cm", " cm"), ("_deg", "°"), ("_h", " h"))
 _RATES: Final = (("per_degree", " per °C"), ("per_hour", " per hour"))
 """What a name ends in, and the unit; the former are left out where the unit is shown, the latter say what it is."""
@@ -242,7 +243,11 @@ def _seen(diagnosis: Diagnosis, pictures: Mapping[str, bytes], plant: Plant) -> 
         out.append(html_page.paragraph(_PLANTS[plant]))
     for name, kind, alt, caption in _PICTURES:
         if name in pictures:
-            told = f"{caption} {_EXTENDED}" if name == "paths" and diagnosis.causes else caption
+            told = caption
+            if name == "paths" and diagnosis.causes:
+                told = f"{caption} {_EXTENDED}"
+            elif name == "evidence" and diagnosis.verdict == "unexplained" and not diagnosis.causes:
+                told = f"{caption} {_NAMELESS}"
             out.append(_spaced(html_page.picture(pictures[name], kind, alt=alt, caption=told)))
     return out
 

@@ -12,7 +12,7 @@ from flora_common.arrays import Array
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.replayed import PLANTS, Plant, Replayed
 from flora_lab.diagnose.residual_statistics import SIDES, Comparison, Group, rms
-from flora_lab.diagnose.rhythm import PERIODS_H, spectrum
+from flora_lab.diagnose.rhythm import PERIODS_H, PLAUSIBLE_H, spectrum
 
 _SINCE_WORDS: Final = (
     "in the first hour after a switch",
@@ -24,6 +24,11 @@ _MAINLY: Final = 1.35
 """A time is named if its residual is so many times the mean over all times."""
 _GROWS: Final = 1.7
 _FLAT: Final = 0.6
+_OWN_PERIOD: Final = 50.0
+"""A swing has a period of its own where it is so many times as strong as the median over all periods: in drawn runs
+without one the strongest was 23 times as strong at most, in those with one 130 times and more."""
+_LINE_SHARE: Final = 0.15
+"""How far from its frequency a swing's power may lie, as a share of it: its phase drifts."""
 RARE: Final = 0.002
 """Chance that needs no words besides: where nothing is wrong with hundreds of sets of runs, none shows as much."""
 _STORIES: Final[tuple[tuple[Group, ...], ...]] = (("sideways", "lean"), ("growth",), ("height",), ("swing",))
@@ -218,11 +223,24 @@ def _height(looks: Looks) -> str:
 
 
 def _swing(runs: Sequence[Replayed]) -> str:
+    """A swing at a period of its own, with its size, or a tip that is restless at all periods."""
     spectra = [spectrum(run.error_mm("own")[:, -1, 0], run.step_h) for run in runs]
     grid = np.linspace(1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0], 80)
-    power = np.mean([np.interp(grid, own.per_hour, own.power) for own in spectra], axis=0)
-    period_h = 1.0 / float(grid[np.argmax(power)])
-    return f"The tip swings to and fro every {period_h:.1f} h or so, more than simulated plants and reference runs do."
+    power = np.array([np.interp(grid, own.per_hour, own.power) for own in spectra])
+    stands_out = np.mean([own / np.median(own) for own in power], axis=0)
+    at = int(np.argmax(stands_out))
+    period_h = 1.0 / float(grid[at])
+    if stands_out[at] < _OWN_PERIOD or not PLAUSIBLE_H[0] <= period_h <= PLAUSIBLE_H[1]:
+        return (
+            "Within hours the tip goes to and fro more than simulated plants and reference runs do, at no period of "
+            "its own."
+        )
+    line = np.abs(grid - grid[at]) <= _LINE_SHARE * grid[at]
+    amplitude_mm = 2.0 * float(np.sqrt(np.trapezoid(power.mean(axis=0)[line], grid[line])))
+    return (
+        f"The tip swings by {mm(amplitude_mm)} to either side every {period_h:.1f} h or so, which simulated plants and "
+        "reference runs do not."
+    )
 
 
 def _verdict(looks: Looks, is_significant: bool) -> str:
