@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import signal
 import sys
 from importlib import import_module
-from typing import Final
+from typing import IO, Final
 
 import msgspec
 
@@ -24,6 +25,13 @@ PR_SET_PDEATHSIG: Final = 1
 def die_with_parent() -> None:
     """A camera serves one process: a child left behind by a killed service would keep it from the next."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def is_orphan(answers: IO[bytes]) -> bool:
+    """Whether the service had ended before that could be asked for: nobody is left to read the answers."""
+    poller = select.poll()
+    poller.register(answers, 0)  # that the other end is closed is told anyway
+    return bool(poller.poll(0))
 
 
 def open_camera(settings: CameraSettings) -> Camera:
@@ -46,6 +54,8 @@ def main() -> int:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     die_with_parent()
+    if is_orphan(answers):
+        return 0
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service ends us
 
     def say(answer: Answer) -> None:

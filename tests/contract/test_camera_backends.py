@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -25,18 +27,23 @@ ON_A_PI = [
 ]
 
 
+def told(**settings: Any) -> CameraSettings:
+    """The first message to a child."""
+    given = {
+        "width_px": 64, "height_px": 48, "exposure_us": 20_000.0, "analogue_gain": 1.0, "colour_gains": (1.9, 1.6),
+        "jpeg_quality": 90, "wait_s": 10.0, **settings,
+    }  # fmt: skip
+    return CameraSettings(**given)
+
+
 class Child:
     """A camera process, asked by hand."""
 
     def __init__(self, **settings: Any) -> None:
-        given = {
-            "width_px": 64, "height_px": 48, "exposure_us": 20_000.0, "analogue_gain": 1.0, "colour_gains": (1.9, 1.6),
-            "jpeg_quality": 90, "wait_s": 10.0, **settings,
-        }  # fmt: skip
         self.process = subprocess.Popen(
             [sys.executable, "-m", "flora_capture.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
-        self.send(CameraSettings(**given))
+        self.send(told(**settings))
         self.opened = self.answer()
 
     def send(self, message: msgspec.Struct) -> None:
@@ -175,6 +182,19 @@ def test_the_virtual_camera_asks_for_the_locked_exposure_and_believes_little() -
         answer = child.shoot(14, 0)
         assert (answer.problem, "shutter is broken" in answer.reason) == ("camera_gone", True)
         assert child.end() == 0
+
+
+def test_a_camera_process_whose_service_was_killed_as_it_started_ends_at_once(tmp_path: Path) -> None:
+    """Else it would open its camera, and wait for one that does not answer for as long as it may."""
+    reads, writes = os.pipe()
+    os.close(reads)  # as the kernel does for a service that is killed
+    command = [sys.executable, "-m", "flora_capture.child"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=writes, bufsize=0) as child:
+        os.close(writes)
+        assert child.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it may have ended before it is told
+            child.stdin.write(pack(told(backend="virtual", source=f"ipc://{tmp_path}/nobody")))
+        assert child.wait(10.0) == 0
 
 
 def test_the_virtual_cameras_process_loads_neither_numpy_nor_opencv() -> None:
