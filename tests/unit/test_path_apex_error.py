@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Final
@@ -146,7 +146,12 @@ def told_apart(off: np.ndarray, chance: FloatArray) -> float:
     return float((chance[off][:, None] > chance[~off][None]).mean())
 
 
-@pytest.mark.parametrize("made", [wild_example, misleading_example, modelled_example])
+ALL: Final = wild_example, misleading_example, modelled_example
+
+
+@pytest.mark.parametrize(
+    "made", [*(pytest.param(made, marks=pytest.mark.slow) for made in ALL[:2]), modelled_example]
+)
 def test_ends_that_are_off_are_told_from_others_in_plants_that_were_not_learnt_from(
     made: Callable[[int], Example | None],
 ) -> None:
@@ -156,20 +161,28 @@ def test_ends_that_are_off_are_told_from_others_in_plants_that_were_not_learnt_f
         assert told_apart(off, np.array([end[look][1] for end in ends(made)])) > 0.75
 
 
-def test_chances_mean_what_they_say() -> None:
+some_or_all = pytest.mark.parametrize("kinds", [ALL[2:], pytest.param(ALL, marks=pytest.mark.slow)])
+
+
+@some_or_all
+def test_chances_mean_what_they_say(kinds: Sequence[Callable[[int], Example | None]]) -> None:
     """Of all these ends as many are off as their chances come to, within three standard deviations."""
-    told = [end for made in (wild_example, misleading_example, modelled_example) for end in ends(made)]
+    told = [end for made in kinds for end in ends(made)]
     for k, limit in enumerate(LIMITS_CM):
         chance = np.array([end[1][k] for end in told])
         off = np.count_nonzero([end[0] > limit for end in told])
         assert abs(off - chance.sum()) < 3.0 * np.sqrt((chance * (1.0 - chance)).sum())
 
 
-def test_a_second_look_sees_the_same_end_and_what_was_not_looked_at_is_not() -> None:
-    for made in (wild_example, misleading_example, modelled_example):
+@some_or_all
+def test_a_second_look_sees_the_same_end(kinds: Sequence[Callable[[int], Example | None]]) -> None:
+    for made in kinds:
         once, twice = (np.log([end[k][1] for end in ends(made)]) for k in (1, 2))
         assert np.corrcoef(once, twice)[0, 1] > 0.9, "a mirror must not matter much"
         assert np.abs(once - twice).max() > 0.0
+
+
+def test_what_was_not_looked_at_is_not_seen_by_a_second_look() -> None:
     line = np.array([[10.0, 40.0], [10.0, 10.0]])
     nothing = Way(line[-1], 0.3, line, np.full(2, 0.9))
     empty = Evidence((0, 0), np.zeros((60, 60), np.float32), np.zeros((60, 60, 3), np.uint8), 1.0)
