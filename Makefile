@@ -123,7 +123,7 @@ paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|fu
 guide: setup  ## make the network that tells stems and apices anew, in out/guide: five hours, or minutes with a graphics card; goes on where it was stopped
 	@$(BIN)/python tests/guide --out out/guide --jobs $(JOBS)
 
-guide-ends: setup  ## make the perceptron that tells how far off ends are anew, in out/ends: half an hour; goes on where it was stopped
+guide-ends: setup  ## make the perceptron that tells how far off ends are anew, in out/ends: an hour; goes on where it was stopped
 	@$(BIN)/python tests/guide/ends.py --out out/ends --jobs $(JOBS)
 
 pins:  ## write deploy/constraints.txt from the environment (first: make setup EXTRAS=rig,lab,cluster,dev)

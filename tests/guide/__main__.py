@@ -22,6 +22,7 @@ import numpy as np
 import torch
 
 from flora_common import files
+from guide.budding import Budding
 from guide.examples import Example, drawing_examples, twin_examples
 from guide.misleading import misleading_example
 from guide.modelled import modelled_example
@@ -54,8 +55,9 @@ KINDS: Final[dict[str, tuple[Callable[[int], list[Example]], int, int, float]]] 
     "wild": (partial(several, wild_example), 1_000_000, PER_FILE, 0.20),
     "bare": (partial(several, partial(wild_example, is_bare=True)), 1_500_000, PER_FILE, 0.02),
     "misleading": (partial(several, misleading_example), 2_500_000, PER_FILE, 0.12),
-    "modelled": (partial(several, modelled_example), 3_000_000, PER_FILE, 0.37),
+    "modelled": (partial(several, modelled_example), 3_000_000, PER_FILE, 0.27),
     "scape": (partial(several, partial(modelled_example, habit=Scape)), 4_000_000, PER_FILE, 0.07),
+    "budding": (partial(several, partial(modelled_example, habit=Budding)), 5_000_000, PER_FILE, 0.10),
 }
 """How each is made, its first seed, how far seeds are apart, and its share of all samples."""
 
@@ -130,6 +132,7 @@ def main() -> None:
     parser.add_argument(
         "--scapes", dest="scape", type=int, default=160, help=f"times {PER_FILE} flowering stalks (160)"
     )
+    parser.add_argument("--budding", type=int, default=200, help=f"times {PER_FILE} with apart youngest leaves (200)")
     parser.add_argument("--steps", type=int, default=86_000, help="of training (86000)")
     parser.add_argument("--minutes", type=float, help="of training, in place of a number of steps")
     parser.add_argument("--mean-with", type=Path, help="a checkpoint from before the last steps, to take the mean with")

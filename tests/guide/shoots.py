@@ -62,6 +62,9 @@ class Shoot:
         rng: of everything.
     """
 
+    slenderest = 0.35
+    """The stem's end is no slenderer than that share of its foot."""
+
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self.surfaces = Surfaces()
@@ -70,12 +73,7 @@ class Shoot:
         """Its surfaces, and its stem's axis, shape (n, 3), anchor first, apex last."""
         rng = self._rng
         length = float(np.exp(rng.uniform(np.log(1.2), np.log(21.0))))
-        habit = str(
-            rng.choice(
-                ["leafy", "grass", "bare", "seedling"],
-                p=[0.7, 0.1, 0.07, 0.13] if length < 9 else [0.8, 0.12, 0.08, 0.0],
-            )
-        )
+        habit = self._habit(length)
         lean = rng.normal(size=2) * (0.25 if rng.random() < 0.85 else 0.9)
         hook = 0.0, 1.0
         if rng.random() < (0.8 if habit == "seedling" else 0.35):
@@ -94,10 +92,15 @@ class Shoot:
             self._cotyledons(stem, leaf, habit)
         return to_apex
 
+    def _habit(self, length: float) -> str:
+        """What it looks like, for a stem of that length, cm."""
+        chances = [0.7, 0.1, 0.07, 0.13] if length < 9 else [0.8, 0.12, 0.08, 0.0]
+        return str(self._rng.choice(["leafy", "grass", "bare", "seedling"], p=chances))
+
     def _stem(self, axis: Floats, tangent: Floats, width: float, leaf: Leafage) -> tuple[Stem, Floats]:
         """What leaves stand on, with its surface, and its axis as far as the apex."""
         rng, colour = self._rng, self._stem_colour(leaf)
-        radius = 0.5 * width * np.linspace(1.0, rng.uniform(0.35, 0.95), len(axis))
+        radius = 0.5 * width * np.linspace(1.0, rng.uniform(self.slenderest, 0.95), len(axis))
         end = radius[-1]
         to_end = np.cumsum(np.linalg.norm(np.diff(axis[::-1], axis=0, prepend=axis[-1:]), axis=1))[::-1]
         inside = np.clip(1.0 - to_end / (1.6 * end), 0.0, 1.0)
@@ -212,24 +215,33 @@ class Shoot:
         rng = self._rng
         length, below = stem.to_end_cm[0], float(rng.uniform(0.0, 0.25))
         full_cm, zone = float(rng.uniform(0.7, 6.0)), float(rng.uniform(0.3, 3.0))
-        around = str(rng.choice(["alternate", "spiral", "opposite", "whorl"], p=[0.3, 0.3, 0.3, 0.1]))
-        count = {"opposite": 2, "whorl": 3}.get(around, 1)
-        onwards = {"alternate": np.pi, "spiral": 2.4, "opposite": np.pi / 2, "whorl": np.pi / 3}[around]
+        count, onwards = self._around()
         azimuth = float(rng.uniform(0, 2 * np.pi))
         lowest = max(0.6, float(rng.uniform(0.1, 0.6) if rng.random() < 0.5 else 0.93) * length)
         ripe, smallest = float(rng.uniform(0.3, max(0.8, 0.4 * length))), float(rng.uniform(0.05, 0.4))
         number = 0
         while below < lowest and number < MOST_NODES:
             age = (1.0 - np.exp(-((below / ripe) ** 1.3))) * (0.5 if habit == "seedling" else 1.0)
-            for k in range(count):
-                if rng.random() < 0.94:
-                    turn = azimuth + 2 * np.pi * k / max(2, count)
-                    self._leaf(stem, stem.at(below), turn, leaf, smallest + (1 - smallest) * age, age)
+            self._node(stem, below, azimuth, leaf, count, smallest + (1 - smallest) * age, age)
             azimuth += onwards + rng.normal() * 0.15
             below += float(0.06 + full_cm * (1.0 - np.exp(-(below + 0.05) / zone)) * rng.uniform(0.7, 1.3))
             number += 1
         if rng.random() < 0.1:
             self._rosette(stem, leaf, int(rng.integers(2, 8)))
+
+    def _around(self) -> tuple[int, float]:
+        """Leaves of a node, and by how much the next node is turned, rad."""
+        around = str(self._rng.choice(["alternate", "spiral", "opposite", "whorl"], p=[0.3, 0.3, 0.3, 0.1]))
+        onwards = {"alternate": np.pi, "spiral": 2.4, "opposite": np.pi / 2, "whorl": np.pi / 3}[around]
+        return {"opposite": 2, "whorl": 3}.get(around, 1), onwards
+
+    def _node(
+        self, stem: Stem, below_cm: float, azimuth: float, leaf: Leafage, count: int, size: float, age: float
+    ) -> None:
+        """The leaves of a node so far below the end, of which now and then one is missing."""
+        for k in range(count):
+            if self._rng.random() < 0.94:
+                self._leaf(stem, stem.at(below_cm), azimuth + 2 * np.pi * k / max(2, count), leaf, size, age)
 
     def _closed(self, stem: Stem, leaf: Leafage) -> None:
         """The youngest leaves, closed upon each other over the apex, which lies at their foot."""

@@ -16,6 +16,7 @@ from flora_common.vision.path.apex_error import LIMITS_CM, Perceptron, error_cm,
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.second_look import confirmed
+from guide.budding import Budding
 from guide.canvas import PX_PER_CM
 from guide.examples import Example
 from guide.misleading import misleading_example
@@ -146,12 +147,15 @@ def told_apart(off: np.ndarray, chance: FloatArray) -> float:
     return float((chance[off][:, None] > chance[~off][None]).mean())
 
 
-ALL: Final = wild_example, misleading_example, modelled_example
+def budding_example(seed: int) -> Example | None:
+    return modelled_example(seed, Budding)
 
 
-@pytest.mark.parametrize(
-    "made", [*(pytest.param(made, marks=pytest.mark.slow) for made in ALL[:2]), modelled_example]
-)
+SLOW: Final = wild_example, misleading_example, budding_example
+ALL: Final = *SLOW, modelled_example
+
+
+@pytest.mark.parametrize("made", [*(pytest.param(made, marks=pytest.mark.slow) for made in SLOW), modelled_example])
 def test_ends_that_are_off_are_told_from_others_in_plants_that_were_not_learnt_from(
     made: Callable[[int], Example | None],
 ) -> None:
@@ -161,7 +165,7 @@ def test_ends_that_are_off_are_told_from_others_in_plants_that_were_not_learnt_f
         assert told_apart(off, np.array([end[look][1] for end in ends(made)])) > 0.75
 
 
-some_or_all = pytest.mark.parametrize("kinds", [ALL[2:], pytest.param(ALL, marks=pytest.mark.slow)])
+some_or_all = pytest.mark.parametrize("kinds", [(modelled_example,), pytest.param(ALL, marks=pytest.mark.slow)])
 
 
 @some_or_all

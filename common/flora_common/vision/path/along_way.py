@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from flora_common.arrays import FloatArray
+from flora_common.arrays import BoolArray, FloatArray
 from flora_common.geometry import arc_length, unit
 from flora_common.vision.path import across, curve, doubts
 from flora_common.vision.path.apex import drawn_to
@@ -36,7 +36,7 @@ SURE_ELSEWHERE, REFUTED_AFTER = 0.35, 3
 pictures."""
 KEEPS, KEEPS_CM = 3.0, 1.0
 """An apex where it was before counts by up to so much more, and one farther off than this by nothing."""
-THROUGH_CM, GOES_ON_CM = 0.12, 1.0
+THROUGH_CM, GOES_ON_CM = 0.12, 0.7
 """A way that comes as near as the first to a place and goes on for the second goes through it: no stem ends there."""
 GOES_ON_LIKELY, WEAKEST_SHARE, GOES_ON_SHARE = 0.4, 10.0, 0.5
 """Beyond it nearly all (but so many per cent) is that likely the stem's middle, and its end is at least that share as
@@ -77,7 +77,7 @@ def is_believed(way: Way, *, is_first: bool) -> bool:
         is_first: nothing is known from pictures before, so that an apex elsewhere counts against it, too.
     """
     if is_first:
-        return _stands_out(way, FIRST_SHARE)
+        return bool(stands_out(way.sure, way.elsewhere, FIRST_SHARE))
     alone = min(1.0, (way.elsewhere / ALONE) ** ALONE_POWER)
     return bool(way.sure >= SURE * max(LEAST_ALONE, alone))
 
@@ -89,12 +89,18 @@ def is_believed_of_two(way: Way, *, is_first: bool) -> bool:
         way: to it.
         is_first: as in :func:`is_believed`.
     """
-    return _stands_out(way, FIRST_SHARE_OF_TWO if is_first else math.inf)
+    return bool(stands_out(way.sure, way.elsewhere, FIRST_SHARE_OF_TWO if is_first else math.inf))
 
 
-def _stands_out(way: Way, share: float) -> bool:
-    """Whether the end of a way is likely, and any apex elsewhere has no more than a share of that."""
-    return way.sure >= SURE_OF_TWO and way.elsewhere <= share * way.sure
+def stands_out(sure: float | FloatArray, elsewhere: float | FloatArray, share: float) -> bool | BoolArray:
+    """Whether an end is likely, and any apex elsewhere has no more than a share of that; of one, or of each of several.
+
+    Args:
+        sure: how likely an apex is there.
+        elsewhere: how likely one is anywhere else.
+        share: see above.
+    """
+    return (sure >= SURE_OF_TWO) & (elsewhere <= share * sure)
 
 
 def chosen(ways: Sequence[Way], before: Before | None, px_per_cm: float) -> Way:
