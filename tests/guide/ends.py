@@ -54,8 +54,8 @@ LARGER: Final = 0.35
 BRIGHTER, PALER, GRAIN = 0.3, 0.25, 3.0
 """Standard deviations of the logarithms of evidence and colours, and of noise in these, code units."""
 HIDDEN: Final = 64
-EPOCHS, BATCH, RATE, DECAY = 15, 128, 2e-3, 2e-2
-SEEN_LEFT_OUT, HIDDEN_LEFT_OUT = 0.3, 0.2
+EPOCHS, BATCH, RATE, DECAY = 20, 128, 2e-3, 3e-3
+SEEN_LEFT_OUT, HIDDEN_LEFT_OUT = 0.5, 0.5
 """Shares of what is left out of a step."""
 LEAST_SPREAD: Final = 1e-3
 FOLDS: Final = 5
