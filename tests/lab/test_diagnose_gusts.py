@@ -169,6 +169,7 @@ def test_one_run_of_several_that_sways_by_itself_is_in_no_wind() -> None:
     assert weighed([first, second]).gusts.evidence == 0.0
 
 
+@pytest.mark.slow
 def test_what_lasts_for_hours_alone_tells_of_no_wind() -> None:
     quick, slow = (
         weighed([gusty(seed, shares=shares) for seed in (82, 84)]).gusts

@@ -172,7 +172,7 @@ def test_the_law_that_the_plants_are_under_is_chosen(forms: Mapping[str, tuple[i
 @pytest.mark.parametrize(
     ("forms", "hours"),
     [
-        ({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0),
+        pytest.param({"side_alone": (SIDE_ALONE, 1.0), "even_light": (EVEN_LIGHT, 1.0)}, 36.0, marks=pytest.mark.slow),
         ({"apical": (APICAL, 1.0), "signal": (SIGNAL_H_PER_CM, 0.4)}, 24.0),
     ],
 )
