@@ -6,6 +6,8 @@ stem goes on between small, steep leaves for a centimetre or three, growing more
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from guide.shoots import MOST_NODES, Leafage, Shoot
@@ -19,7 +21,7 @@ class Budding(Shoot):
         rng: of everything.
     """
 
-    slenderest = 0.2
+    slenderest: ClassVar = 0.2
 
     def _habit(self, length: float) -> str:
         """Leafy, whatever its length."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class Shoot:
         rng: of everything.
     """
 
-    slenderest = 0.35
+    slenderest: ClassVar = 0.35
     """The stem's end is no slenderer than that share of its foot."""
 
     def __init__(self, rng: np.random.Generator) -> None:

@@ -27,6 +27,8 @@ _FLAT: Final = 0.6
 _OWN_PERIOD: Final = 50.0
 """A swing has a period of its own where it is so many times as strong as the median over all periods: in drawn runs
 without one the strongest was 23 times as strong at most, in those with one 130 times and more."""
+_LEAST_POWER: Final = 1e-9
+"""mm^2 h: of a tip that moves by less nothing is told."""
 _LINE_SHARE: Final = 0.15
 """How far from its frequency a swing's power may lie, as a share of it: its phase drifts."""
 RARE: Final = 0.002
@@ -227,7 +229,7 @@ def _swing(runs: Sequence[Replayed]) -> str:
     spectra = [spectrum(run.error_mm("own")[:, -1, 0], run.step_h) for run in runs]
     grid = np.linspace(1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0], 80)
     power = np.array([np.interp(grid, own.per_hour, own.power) for own in spectra])
-    stands_out = np.mean([own / np.median(own) for own in power], axis=0)
+    stands_out = np.mean([own / max(float(np.median(own)), _LEAST_POWER) for own in power], axis=0)
     at = int(np.argmax(stands_out))
     period_h = 1.0 / float(grid[at])
     if stands_out[at] < _OWN_PERIOD or not PLAUSIBLE_H[0] <= period_h <= PLAUSIBLE_H[1]:
