@@ -229,7 +229,8 @@ def _swing(runs: Sequence[Replayed]) -> str:
     spectra = [spectrum(run.error_mm("own")[:, -1, 0], run.step_h) for run in runs]
     grid = np.linspace(1.0 / PERIODS_H[1], 1.0 / PERIODS_H[0], 80)
     power = np.array([np.interp(grid, own.per_hour, own.power) for own in spectra])
-    stands_out = np.mean([own / max(float(np.median(own)), _LEAST_POWER) for own in power], axis=0)
+    usual = np.maximum(np.median(power, axis=1, keepdims=True), _LEAST_POWER)
+    stands_out = (power / usual).mean(axis=0)
     at = int(np.argmax(stands_out))
     period_h = 1.0 / float(grid[at])
     if stands_out[at] < _OWN_PERIOD or not PLAUSIBLE_H[0] <= period_h <= PLAUSIBLE_H[1]:
