@@ -12,7 +12,7 @@ from flora_common.arrays import Array
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.replayed import PLANTS, Plant, Replayed
 from flora_lab.diagnose.residual_statistics import SIDES, Comparison, Group, rms
-from flora_lab.diagnose.rhythm import PERIODS_H, PLAUSIBLE_H, spectrum
+from flora_lab.diagnose.rhythm import PERIODS_H, PLAUSIBLE_H, amplitude_of, spectrum
 
 _SINCE_WORDS: Final = (
     "in the first hour after a switch",
@@ -239,7 +239,7 @@ def _swing(runs: Sequence[Replayed]) -> str:
             "its own."
         )
     line = np.abs(grid - grid[at]) <= _LINE_SHARE * grid[at]
-    amplitude_mm = 2.0 * float(np.sqrt(np.trapezoid(power.mean(axis=0)[line], grid[line])))
+    amplitude_mm = float(amplitude_of(np.trapezoid(power.mean(axis=0)[line], grid[line])))
     return (
         f"The tip swings by {mm(amplitude_mm)} to either side every {period_h:.1f} h or so, which simulated plants and "
         "reference runs do not."

@@ -22,7 +22,7 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.replayed import MM, PLANTS, Plant, Replayed, replayed
 from flora_lab.diagnose.residual_statistics import SIDES, mean, rms
 from flora_lab.diagnose.residual_words import Looks, description
-from flora_lab.diagnose.rhythm import spectrum
+from flora_lab.diagnose.rhythm import amplitude_of, spectrum
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 
@@ -177,9 +177,8 @@ def _swing_mm(run: Replayed) -> Array:
     own = spectrum(run.error_mm("own")[:, -1, 0], run.step_h)
     if len(own.per_hour) < _LINES:
         return np.full(len(SWING_PERIODS_H), np.nan)
-    line = own.per_hour[1] - own.per_hour[0]
     density = np.interp(1.0 / SWING_PERIODS_H, own.per_hour, statistics.smoothed(own.power, _LINES))
-    return np.asarray(np.sqrt(4.0 * density * line * _LINES))
+    return amplitude_of(density * own.spacing_per_hour * _LINES)
 
 
 def _tip_mm(run: Replayed, plant: Plant) -> Array:

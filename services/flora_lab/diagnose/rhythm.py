@@ -9,7 +9,6 @@ are tried, and the price of having looked at so many is paid.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -36,6 +35,7 @@ _REACH_SHARE: Final = 0.15
 some hours, any period would explain any other."""
 BAND_H: Final = (0.7, 4.0)
 _AMPLITUDES_CM: Final = np.geomspace(0.05, 4.0, 56)
+_LEAST_VARIANCE_CM2: Final = 2.5e-9
 _SMOOTH_SHARE: Final = 0.12
 _FLOOR_SHARE: Final = 0.02
 LOOKED: Final = float(np.log(65.0 * len(_OVERTONES)))
@@ -57,6 +57,19 @@ class Spectrum:
     per_hour: Array
     power: Array
     hours: float
+
+    @property
+    def spacing_per_hour(self) -> float:
+        """Between two frequencies."""
+        return float(self.per_hour[1] - self.per_hour[0])
+
+
+def amplitude_of(variance: Array | float) -> Array:
+    """Amplitude of a swing whose power at positive frequencies, summed over these, is ``variance``.
+
+    A spectrum is two-sided: half of a swing's variance, of half its amplitude squared, lies there.
+    """
+    return np.asarray(2.0 * np.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,13 +233,12 @@ def _amplitude(
 
     Its line is as wide as its phase drifts and its size grows, which no shape of a line would know beforehand.
     """
-    squares = []
+    variances = []
     for own, expected, share in zip(spectra, usual_power, sideways, strict=True):
         near = np.abs(np.log(own.per_hour / per_hour)) < _ABOUT
-        spacing = float(own.per_hour[1] - own.per_hour[0])
-        squares.append(4.0 * spacing * float((own.power[near] - expected[near]).sum()) / share)
-    amplitude = math.sqrt(max(float(np.mean(squares)), 1e-8))
-    own_cm = np.sqrt(np.maximum(np.array(squares), 1e-8))
+        variances.append(own.spacing_per_hour * float((own.power[near] - expected[near]).sum()) / share)
+    amplitude = float(amplitude_of(max(float(np.mean(variances)), _LEAST_VARIANCE_CM2)))
+    own_cm = amplitude_of(np.maximum(np.array(variances), _LEAST_VARIANCE_CM2))
     sd = float(np.hypot(np.std(own_cm) / np.sqrt(max(len(own_cm) - 1, 1)), _AMPLITUDE_SHARE * amplitude))
     return amplitude, (max(0.0, amplitude - 1.645 * sd), amplitude + 1.645 * sd)
 
