@@ -122,6 +122,9 @@ def test_the_extended_simulator_is_one(diagnosed: Path) -> None:
     assert isinstance(base, RodSimulator)
     assert isinstance(extended, RodSimulator)
     assert [extension.effect for extension in extended.extensions] == ["draught"]
+    # the measured plants tell of the typical one, too, but less than a spread's worth
+    moved = (extended.without_extensions().prior.mean - base.prior.mean) / np.sqrt(np.diag(base.prior.covariance))
+    assert 0.001 < np.abs(moved).max() < 1.0
     first = run_of(10).points_cm[:1]
     light = turns(12.0, 3.0)[:, None]
     tips = [run_freely(plant, plant.start(first), light, 300.0)[-1, 0, -1, 0] for plant in (base, extended)]

@@ -43,7 +43,8 @@ def result(*extensions: Extension, judged: Any = None) -> Any:
         NextExperiment(),
         "All in all.",
     )
-    return work.Result(start, found, Any, Any, None, extensions, Any)
+    extended = mechanistic().extended(extensions) if extensions else None
+    return work.Result(start, found, Any, Any, None, extended, extensions, Any)
 
 
 def compared(

@@ -32,6 +32,7 @@ from flora_lab.simulator import terms
 from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.shape import can_start
 from flora_lab.simulator.store import Extension
+from flora_lab.simulator.tropism_traits import NAMES
 
 DRAUGHT = {"draught": {"drive_per_cm_h": 0.12}}
 MEASURED, HELD_OUT = (30, 31, 32), (40, 41)
@@ -96,8 +97,30 @@ def test_a_run_has_no_say_in_what_it_is_judged_by() -> None:
     explanation.joint.runs, kept = runs, explanation.joint.runs
     changed, _ = _left_out(explanation)
     explanation.joint.runs = kept
-    same = [np.array_equal(a.change.terms, b.change.terms) for a, b in zip(folds, changed, strict=True)]
-    assert same == [False, False, True]
+    both = list(zip(folds, changed, strict=True))
+    assert [np.array_equal(a.change.terms, b.change.terms) for a, b in both] == [False, False, True]
+    assert [np.array_equal(a.typical, b.typical) for a, b in both] == [False, False, True]
+
+
+def test_plants_that_were_measured_tell_of_the_typical_one() -> None:
+    """Where the reference was of plants that bend half as readily, the measured ones mend what is typical."""
+    trait = NAMES.index("photoception_per_cm_h")
+    weaker = np.zeros(len(NAMES))
+    weaker[trait] = np.log(0.5)
+    base = known().base
+    doubt = base.doubt.copy()
+    doubt[trait, trait] = 0.5**2
+    wrong = replace(base, mean=base.mean + weaker, doubt=doubt)
+    found = explained().found
+    mended = wrong.mean_with(found.traits)
+    assert abs(mended - base.mean)[trait] < 0.3 * abs(weaker[trait])
+
+    def off_mm(mean: Array) -> float:
+        change = found.hypothesis.change(found.coordinates)
+        runs = [replayed(scene, base, mean, mean, np.zeros(2), change) for scene in scenes_of(HELD_OUT, DRAUGHT)]
+        return float(np.sqrt(np.nanmean([run.error_mm("typical")[:, -1] ** 2 for run in runs])))
+
+    assert off_mm(mended) < 0.8 * off_mm(wrong.mean)
 
 
 def test_a_rival_that_wins_without_a_run_is_what_the_run_is_judged_by() -> None:

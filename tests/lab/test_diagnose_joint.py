@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -149,6 +150,16 @@ def test_what_plants_differ_in_is_told_no_better_than_they_differ() -> None:
         # As if the plants were known exactly: then it is a question of how far they are from the typical one.
         best = 1.0 / (shift @ np.linalg.inv(together) @ shift + fit.hypothesis.parameters[0].spread ** -2.0)
         assert fit.covariance[0, 0] > 0.99 * best, name
+
+
+def test_what_is_typical_follows_further_plants_as_far_as_so_few_tell() -> None:
+    spread = np.diag(np.linspace(0.01, 0.09, len(NAMES)))
+    of_nine = replace(base(), spread=spread, doubt=spread / 9.0)
+    away = np.random.default_rng(5).normal(0.0, 0.2, (3, len(NAMES)))
+    told = of_nine.mean_with(of_nine.mean + away)
+    assert told == pytest.approx(of_nine.mean + away.mean(axis=0) * 3.0 / 12.0)  # the mean of all twelve
+    certain = replace(of_nine, doubt=1e-12 * spread)
+    assert certain.mean_with(certain.mean + away) == pytest.approx(certain.mean, abs=1e-9)
 
 
 def test_the_order_of_runs_does_not_matter() -> None:

@@ -35,7 +35,7 @@ def simulator(usual_c: float | None = 22.5) -> RodSimulator:
 
 
 def written(path: Path, extensions: tuple[Extension, ...] = ()) -> Path:
-    stored_base.write_known(path, simulator(), known(), PROVENANCE, extensions)
+    stored_base.write_known(path, simulator().extended(extensions), known(), PROVENANCE)
     return path
 
 

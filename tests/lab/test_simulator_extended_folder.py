@@ -42,6 +42,19 @@ def test_read_again_it_is_the_same_plant(tmp_path: Path) -> None:
     assert extended == plain  # what was fitted, and where it is from, stays as it was
 
 
+def test_with_another_typical_plant_its_effects_stay(tmp_path: Path) -> None:
+    moved = np.zeros(len(NAMES))
+    moved[NAMES.index("growth_late_cm_per_day")] = np.log(1.5)
+    plant = base().extended(ALL_AT_ONCE)
+    other = plant.with_typical(moved)
+    assert other.extensions == plant.extensions
+    assert other.prior.mean - plant.prior.mean == pytest.approx(moved)
+    assert other.without_extensions().prior.mean == pytest.approx(base().prior.mean + moved)
+    again = load(written(tmp_path / "sim", other))
+    assert isinstance(again, RodSimulator)
+    assert course(again) == course(other) != course(plant)
+
+
 def test_what_is_found_later_comes_on_top(tmp_path: Path) -> None:
     one, other = ALL_AT_ONCE[:4], [*ALL_AT_ONCE[4:], Extension("gravitropism", {"factor": 1.5})]
     again = load(written(tmp_path / "sim", base().extended(one)))

@@ -37,13 +37,12 @@ def compared(
         note: is told why nothing was compared: no cause acts on simulated plants.
         effort: how much is done; :data:`EFFORT` on all cores where None.
     """
-    if all(extension.effect == _ONLY_IF_TOLD for extension in result.extensions):
+    base, extended = result.start.simulator, result.extended
+    if extended is None or all(extension.effect == _ONLY_IF_TOLD for extension in result.extensions):
         found = "but an answer to the temperature, which no task tells," if result.extensions else "that acts on plants"
         note(f"nothing {found} was found: both simulators are the same to controllers, and none were evolved")
         return result
     effort = effort or replace(EFFORT, threads=len(os.sched_getaffinity(0)))
-    base = result.start.simulator
-    extended = base.extended(result.extensions)
     tasks = {"feedback": task, "plan": for_plans(task)}
     words = judged_on(task, effort.seeds, effort.judges, is_beside_another=result.start.judged is not None)
     fitness = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.gusts import CALM, Gusts
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.rhythm import Swing
@@ -92,6 +93,11 @@ class Explanation:
     joint: Joint
     claim: float = FIRST
     unnamed: Unnamed | None = None
+
+    @property
+    def typical(self) -> Array:
+        """Constants of the typical plant as these runs and the reference tell them together, shape (9,)."""
+        return self.joint.base.mean_with(self.found.traits)
 
     @property
     def dropped(self) -> tuple[str, ...]:

@@ -76,9 +76,9 @@ def _write_found(folder: Path, result: Result) -> None:
         _write_corrected(folder / EXTENDED, result)
     elif result.mended is not None:
         _write_mended(folder / EXTENDED, result)
-    elif result.extensions:
+    elif result.extended is not None:
         provenance = _and_from(start.provenance, result, EXTENSION)
-        stored_base.write_known(folder / EXTENDED, start.simulator, start.known, provenance, result.extensions)
+        stored_base.write_known(folder / EXTENDED, result.extended, start.known, provenance)
     corrected_tracks.write(folder / CORRECTED, result.runs, result.explanation.found)
     asked = result.diagnosis.next_experiment
     chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)

@@ -1,8 +1,8 @@
 """What naming a cause is worth: errors of the simulator without and with it, on whole runs that no fit has seen.
 
 The simulated plant is the typical one, started from the first stem and never told of another: whoever watches a plant
-takes part of an effect for its nature. Beside both simulators stand a black box that learned their residuals, and what
-costs nothing: a stem that does not move.
+takes part of an effect for its nature. The runs that tell the cause tell of what is typical, too. Beside both
+simulators stand a black box that learned their residuals, and what costs nothing: a stem that does not move.
 """
 
 from __future__ import annotations
@@ -40,11 +40,13 @@ class Fold:
     Attributes:
         learned_from, judged: places in the list of all runs.
         change: what the simulator was extended by.
+        typical: constants of its typical plant, shape (9,): runs to learn from tell of these, too.
     """
 
     learned_from: tuple[int, ...]
     judged: tuple[int, ...]
     change: Change
+    typical: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,7 @@ def measure_gain(
     if holdout:
         runs = [*scenes, *holdout]
         change = found.hypothesis.change(found.coordinates)
-        folds = [Fold(tuple(range(count)), tuple(range(count, len(runs))), change)]
+        folds = [Fold(tuple(range(count)), tuple(range(count, len(runs))), change, explanation.typical)]
         judged_on = (
             f"{counted(len(holdout), 'run')} held out, which neither the choice of the causes nor the fit has seen"
         )
@@ -108,7 +110,7 @@ def measure_gain(
     for fold in folds:
         box = boosting.learned([runs[i] for i in fold.learned_from], [as_it_is[i] for i in fold.learned_from])
         for i in fold.judged:
-            for name, own in _judged(runs[i], as_it_is[i], base, fold.change, box).items():
+            for name, own in _judged(runs[i], as_it_is[i], base, fold, box).items():
                 wrong[name].append(own)
             on_step()
     return _gain(wrong, judged_on)
@@ -130,7 +132,8 @@ def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
             if evidence_for_last(before, fit) > evidence_for_last(before, chosen):
                 chosen = fit
         won += chosen is not fits[0]
-        folds.append(Fold(tuple(rest), (out,), chosen.hypothesis.change(chosen.coordinates)))
+        change = chosen.hypothesis.change(chosen.coordinates)
+        folds.append(Fold(tuple(rest), (out,), change, joint.base.mean_with(chosen.traits)))
     return folds, won
 
 
@@ -139,8 +142,8 @@ def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:
     return joint.fit(Found(found.hypothesis, found.coordinates, found.traits[rest], found.start[rest]), _STEPS)
 
 
-def _judged(scene: Scene, as_it_is: Replayed, base: Base, change: Change, box: boosting.BlackBox) -> dict[str, _Errors]:
-    extended = replayed(scene, base, base.mean, base.mean, np.zeros(2), change)
+def _judged(scene: Scene, as_it_is: Replayed, base: Base, fold: Fold, box: boosting.BlackBox) -> dict[str, _Errors]:
+    extended = replayed(scene, base, fold.typical, fold.typical, np.zeros(2), fold.change)
     rows = as_it_is.step_rows
     moved = scene.run.points_cm[rows + 1] - scene.run.points_cm[rows]
     boosted = boosting.run_freely(scene, as_it_is, base.mean, box)

@@ -59,6 +59,15 @@ class Base:
         """For runs looked at one by one: that the mean is not known for certain is one with how they differ."""
         return replace(self, spread=self.spread + self.doubt, doubt=1e-9 * np.eye(TRAITS))
 
+    def mean_with(self, traits: Array) -> Array:
+        """What is typical once further plants are known, too, shape (9,): as far towards their mean as so few tell.
+
+        Args:
+            traits: of these as they are most probable, shape (runs, 9).
+        """
+        away = traits.mean(axis=0) - self.mean
+        return np.asarray(self.mean + self.doubt @ np.linalg.solve(self.doubt + self.spread / len(traits), away))
+
 
 @dataclass(frozen=True, slots=True)
 class Ready:

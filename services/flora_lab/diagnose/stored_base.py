@@ -100,9 +100,8 @@ def write_known(
     simulator: RodSimulator,
     known: Knowledge,
     provenance: Provenance,
-    extensions: Sequence[Extension] = (),
 ) -> None:
-    """Write the folder, whole or not at all; with extensions it is the extended simulator.
+    """Write the folder, whole or not at all.
 
     Raises:
         BadInput: something is there already.
@@ -137,7 +136,7 @@ def write_known(
         weights=simulator.weights() | {_PREFIX + name: np.asarray(a, dtype=np.float64) for name, a in arrays.items()},
         scales=simulator.scales() | {"diagnose": told},
         provenance=provenance,
-        extensions=(*simulator.extensions, *extensions),
+        extensions=simulator.extensions,
     )
 
 

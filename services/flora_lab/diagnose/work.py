@@ -79,7 +79,9 @@ class Result:
         explanation: how it was come to.
         tables: residuals of the simulator as it is, for pictures.
         extended_tables: of the extended one; None where nothing was found.
-        extensions: what the simulator is extended by.
+        extended: the mechanistic simulator with the causes in plants, and of plants of which these runs have told, too;
+            None where there is no such cause.
+        extensions: what it is extended by.
         runs: that were diagnosed.
         corrected: the learned simulator with what it lacks beside it; None where none was given, or nothing found.
         mended: the paper's simulator without what is wrong with it as a whole; None where nothing is.
@@ -90,6 +92,7 @@ class Result:
     explanation: Explanation
     tables: ResidualTables
     extended_tables: ResidualTables | None
+    extended: RodSimulator | None
     extensions: tuple[Extension, ...]
     runs: Runs
     corrected: CorrectedSimulator | None = None
@@ -215,8 +218,12 @@ def diagnose(
         learned=mended.told() if mended is not None else {},
     )
     extensions = extensions_of(causes[len(faults) :])
+    extended = None
+    if extensions:
+        moved = explanation.typical - start.known.base.mean
+        extended = start.simulator.with_typical(moved).extended(extensions)
     corrected = _corrected(start, extensions, mended)
-    return Result(start, diagnosis, explanation, tables, extended_tables, extensions, runs, corrected, mended)
+    return Result(start, diagnosis, explanation, tables, extended_tables, extended, extensions, runs, corrected, mended)
 
 
 def _considered(tried: Sequence[Tried]) -> dict[str, float]:

@@ -76,14 +76,23 @@ class RodSimulator(GrowingSimulator):
         """
         return self._with((*self.extensions, *extensions))
 
+    def with_typical(self, moved: Array) -> RodSimulator:
+        """The same simulator, with its effects, of plants of which another is typical.
+
+        Args:
+            moved: what that one has more than the one before, in logarithms of its constants, shape (9,).
+        """
+        prior = Prior(self._fitted_prior.mean + moved, self._fitted_prior.covariance)
+        return self._with(self.extensions, prior)
+
     def without_extensions(self) -> RodSimulator:
         """The simulator as it was fitted."""
         return self._with(())
 
-    def _with(self, extensions: Sequence[Extension]) -> RodSimulator:
+    def _with(self, extensions: Sequence[Extension], prior: Prior | None = None) -> RodSimulator:
         return RodSimulator(
             self.lamps,
-            self._fitted_prior,
+            self._fitted_prior if prior is None else prior,
             self._fitted_noise,
             self.shown,
             self.step_s,
