@@ -45,7 +45,7 @@ STALK: Final = RealPlant(
 )
 FOLDED: Final = RealPlant(
     DATA / "plant-tracer" / "legacy_gravitropism_sample.mov",
-    40.0,
+    20.0,
     (
         "--anchor",
         "432,264",
@@ -54,9 +54,9 @@ FOLDED: Final = RealPlant(
         "--frames",
         "0:83",
         "--widest-stem-cm",
-        "0.25",
+        "0.5",
         "--below-anchor-cm",
-        "0.3",
+        "0.6",
         "--window",
         "436,100,625,300",
     ),

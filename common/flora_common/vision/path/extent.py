@@ -1,8 +1,12 @@
-"""How far a line goes: cut or carried on to a length, in cm, and points along it."""
+"""How far a line goes: cut or carried on to a length, in cm, and points along it.
+
+A stem may be longer than it looks behind a leaf, but not before the bare board.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,11 +16,29 @@ from flora_common.geometry import arc_length
 from flora_common.runs import CameraSection
 from flora_common.shapes import STEM_POINTS
 from flora_common.vision.path.curve import STEP_PX, Stem
-from flora_common.vision.path.sampler import places_along
+from flora_common.vision.path.sampler import Sampler, places_along
 from flora_common.vision.path.tip import Tip
 
 FLOOR_MM: Final = 0.2
 """Of the uncertainty: light from one side moves both edges, by a tenth of a millimetre to three."""
+
+BARE_CM: Final = 0.1
+"""Where over so much of the way ahead there is no plant, a stem ends there, or is too pale to tell."""
+
+
+def within_plant(tip: Tip, sampler: Sampler, px_per_cm: float) -> Tip:
+    """The tip with no more of the way ahead than there is plant on, but for :data:`BARE_CM`.
+
+    Args:
+        tip: as it was found.
+        sampler: of the picture.
+        px_per_cm: scale.
+    """
+    ahead_px = arc_length(tip.onwards) if len(tip.onwards) else np.zeros(0)
+    is_plant = sampler.plant(tip.onwards) > 0.0
+    last_px = np.maximum.accumulate(np.where(is_plant, ahead_px, 0.0))
+    bare = np.flatnonzero(ahead_px - last_px > BARE_CM * px_per_cm)
+    return replace(tip, onwards=tip.onwards[: bare[0]]) if len(bare) else tip
 
 
 def as_long_as(stem: Stem, tip: Tip, wanted_px: float) -> Stem:

@@ -17,7 +17,7 @@ from flora_common.vision.path.apex import Apex, Followed
 from flora_common.vision.path.chain import Chain
 from flora_common.vision.path.curve import Stem
 from flora_common.vision.path.evidence import Evidence, PlantFinder
-from flora_common.vision.path.extent import as_long_as, by_arc, in_cm, uncertainty_mm
+from flora_common.vision.path.extent import as_long_as, by_arc, in_cm, uncertainty_mm, within_plant
 from flora_common.vision.path.fit import HOLDS_FROM, STEPS_BELIEVED, Fitter, Past
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.length import LengthState
@@ -164,7 +164,7 @@ class PathTracker:
         if not nearby.same_stem(stem, before, memory.seen, scale):
             return None
         belief = self._belief(stem, tip, time_s)
-        final, apex = self._ended(stem, tip, followed, belief)
+        final, apex = self._ended(stem, within_plant(tip, sampler, scale), followed, belief)
         if followed.is_astray(final.line[-1]):
             return None
         if doubts.badly_covered(final, sampler):
@@ -212,7 +212,7 @@ class PathTracker:
                 # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
                 fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
-        final, apex = self._ended(fit.reached, fit.tip, followed, belief)
+        final, apex = self._ended(fit.reached, within_plant(fit.tip, sampler, scale), followed, belief)
         ways = sight.ways
         if before is None and fit.way is not None:
             ways = tuple(confirmed(way, evidence, scale) if way is fit.way else way for way in ways)
