@@ -34,7 +34,9 @@ def within_plant(tip: Tip, sampler: Sampler, px_per_cm: float) -> Tip:
         sampler: of the picture.
         px_per_cm: scale.
     """
-    ahead_px = arc_length(tip.onwards) if len(tip.onwards) else np.zeros(0)
+    if not len(tip.onwards):
+        return tip
+    ahead_px = arc_length(tip.onwards)
     is_plant = sampler.plant(tip.onwards) > 0.0
     last_px = np.maximum.accumulate(np.where(is_plant, ahead_px, 0.0))
     bare = np.flatnonzero(ahead_px - last_px > BARE_CM * px_per_cm)

@@ -164,7 +164,7 @@ class PathTracker:
         if not nearby.same_stem(stem, before, memory.seen, scale):
             return None
         belief = self._belief(stem, tip, time_s)
-        final, apex = self._ended(stem, within_plant(tip, sampler, scale), followed, belief)
+        final, apex = self._ended(stem, tip, sampler, followed, belief)
         if followed.is_astray(final.line[-1]):
             return None
         if doubts.badly_covered(final, sampler):
@@ -212,7 +212,7 @@ class PathTracker:
                 # measured as in pictures that are looked at nearby only, so that its end does not move to and fro
                 fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
-        final, apex = self._ended(fit.reached, within_plant(fit.tip, sampler, scale), followed, belief)
+        final, apex = self._ended(fit.reached, fit.tip, sampler, followed, belief)
         ways = sight.ways
         if before is None and fit.way is not None:
             ways = tuple(confirmed(way, evidence, scale) if way is fit.way else way for way in ways)
@@ -231,10 +231,13 @@ class PathTracker:
         reading, self._memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
-    def _ended(self, stem: Stem, tip: Tip, followed: Followed, belief: LengthState) -> tuple[Stem, Apex | None]:
+    def _ended(
+        self, stem: Stem, tip: Tip, sampler: Sampler, followed: Followed, belief: LengthState
+    ) -> tuple[Stem, Apex | None]:
         """The stem up to where its apex is believed to be, or as long as it is believed to be; and that apex."""
         if not followed.is_near(stem.line[-1]):
-            stem = as_long_as(stem, tip, belief.length_cm * self.camera.px_per_cm)
+            scale = self.camera.px_per_cm
+            stem = as_long_as(stem, within_plant(tip, sampler, scale), belief.length_cm * scale)
         line, apex = followed.believed(stem.line)
         return replace(stem, line=line), apex
 
