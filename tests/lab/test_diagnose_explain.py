@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from diagnose_runs import change_of, known, run_of, scenes_of, shorter, turns, warm_course
 
-from flora_lab.diagnose import claims, explain, rhythm, search
+from flora_lab.diagnose import claims, explain, rhythm, search, trials
 from flora_lab.diagnose.clocks import left_out
 from flora_lab.diagnose.courses import COURSES
 from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
@@ -19,6 +19,7 @@ from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD, Accepted, Expla
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
 from flora_lab.diagnose.rivals import last_choice, rivals
+from flora_lab.diagnose.trials import Trials
 from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
@@ -99,7 +100,7 @@ def test_a_cause_that_comes_to_nothing_gives_back_what_it_made_worthless(monkeyp
         with monkeypatch.context() as patch:
             patch.setattr(Explainer, "_pruned", displaced)
             if reached.accepted:
-                patch.setattr(explain, "_is_worth_a_name", lambda fit: False)
+                patch.setattr(trials, "_is_worth_a_name", lambda fit: False)
             return real(self, reached, stage)
 
     monkeypatch.setattr(Explainer, "_with_the_best", second_vanishes)
@@ -120,7 +121,7 @@ def test_a_cause_must_be_worth_its_claim_about_the_plants_that_have_it_too(monke
     def about_itself(self: Explainer, reached: explain._Reached, stage: Stage) -> explain._Reached | Stage:
         with monkeypatch.context() as patch:
             asked.append(self.claims.first + BY_NAME["lamp_asymmetry"].first_needs)
-            patch.setattr(explain, "evidence_for_last", lambda before, fit: asked[0] + weighed[-1])
+            patch.setattr(trials, "evidence_for_last", lambda before, fit: asked[0] + weighed[-1])
             return real(self, reached, stage)
 
     monkeypatch.setattr(Explainer, "_with_the_best", about_itself)
@@ -289,7 +290,7 @@ def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pyte
         assert stage.tried[0].swing is not None
         assert stage.has_no_name(explainer.claims.nameless, explainer.claims.better) is False
         # As if what is left in the hours' means spoke for it more than the swing does for itself.
-        monkeypatch.setattr(explainer, "claims", replace(explainer.claims, better=-1e6))
+        monkeypatch.setattr(explainer.trials, "claims", replace(explainer.claims, better=-1e6))
         again = explainer.explain()
     assert [one.tried.effect.name for one in again.accepted] == ["circumnutation"]
     assert again.unnamed is None
@@ -348,7 +349,7 @@ def test_what_is_too_small_has_no_name_however_sure(monkeypatch: pytest.MonkeyPa
     late = ("phototropic_latency", "clock_offset")
     assert names(explained("slow")) == (late[0],)
     less = [replace(e, parameters=(replace(e.parameters[0], least=1.0),)) if e.name in late else e for e in CATALOGUE]
-    monkeypatch.setattr(explain, "CATALOGUE", tuple(less))
+    monkeypatch.setattr(trials, "CATALOGUE", tuple(less))
     with one_blas_thread():
         explanation = Explainer(scenes_of((80, 81), SLOW), known()).explain()
     tried = {one.effect.name: one for one in explanation.stages[0].tried}
@@ -400,6 +401,6 @@ def test_plants_are_looked_for_again_where_the_best_fit_found_them() -> None:
     plants = Tried(BY_NAME["lamp_ageing"], 0.0, fit(-20.0, 2.0))
     looked_at = Tried(BY_NAME["adaptation"], 0.0, fit(-10.0, 3.0, is_full=False))
     stage = Stage(fit(-150.0, 0.0), (named, plants, looked_at))
-    again = Explainer._restarted(cast("Joint", Still()), stage)
+    again = Trials._restarted(cast("Joint", Still()), stage)
     assert (again.traits == 2.0).all()
     assert again.hypothesis.names() == ()

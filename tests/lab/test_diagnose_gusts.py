@@ -19,6 +19,7 @@ from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.rhythm import spectrum
 from flora_lab.diagnose.scene import Lanes, Scene
+from flora_lab.diagnose.trials import Trials
 from flora_lab.diagnose.verdict import left_of, meaning, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.draught import LATE_CM
@@ -119,10 +120,10 @@ def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
 
 def weighed(runs: list[MeasuredRun]) -> Tried:
     """A draught as a first cause of some runs, in whatever gusts."""
-    explainer = Explainer([Scene(run, LAW) for run in runs], known())
+    trials = Trials([Scene(run, LAW) for run in runs], known())
     with one_blas_thread():
-        _, joint, null = explainer._begun()
-        return explainer._in_gusts(joint, null, Tried(BY_NAME["draught"], -np.inf, None))
+        _, joint, null = trials.begun()
+        return trials._in_gusts(joint, null, Tried(BY_NAME["draught"], -np.inf, None))
 
 
 def wavering(run: MeasuredRun, seed: int) -> MeasuredRun:
