@@ -100,6 +100,10 @@ class Explainer:
             reached = replace(reached, found=stage.before)
             stage, further = self._further(reached, stage)
             stages.append(stage)
+            two = self._two_at_once(reached, stage) if further is None else None
+            if two is not None:
+                stage, further = two
+                stages.append(stage)
             if further is None:
                 break
             reached = further
@@ -107,7 +111,8 @@ class Explainer:
         null = stages[0].before if swing is None else joint.fit(alone)
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
+        is_of_two = len(accepted) > 1 and stages[0].tried[0].gain < first
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside, is_of_two)
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""
@@ -133,6 +138,33 @@ class Explainer:
                 return stage, taken
             stage = taken
         return stage, None
+
+    def _two_at_once(self, reached: _Reached, stage: Stage) -> tuple[Stage, _Reached] | None:
+        """Where the best first cause is too little by itself, and with a second one beside it both are as much as two
+        must be: the second one's stage, and what both lead to; None where they are not.
+
+        Args:
+            reached: where the search has come to.
+            stage: the first one, of which nothing was taken.
+        """
+        first = stage.tried[0]
+        if reached.accepted or first.found is None or first.gain < NEXT_TO_NOTHING or self._is_outdone(stage, ()):
+            return None
+        one = self._with_the_best(reached, stage)
+        if not isinstance(one, _Reached):
+            return None
+        beside = self.trials.settled(one.joint, one.found, one.swing, 1)
+        asked = self._needed(stage, ()) + self._needed(beside, one.accepted)
+        if first.gain + beside.tried[0].gain < asked:
+            return None
+        beside, both = self._further(replace(one, found=beside.before), beside)
+        if both is None or len(both.accepted) < 2 or both.swing is not None:
+            return None
+        # What there is for the first one, and in its place, beside the second.
+        again = self.trials.stage(both.joint, both.joint.fit(_without(both.found, first.effect.name)), None)
+        if again.tried[0].effect is not first.effect or again.tried[0].gain < self._least(first.effect, 0):
+            return None
+        return beside, replace(both, accepted=(Accepted(again.tried[0], again), *both.accepted[1:]))
 
     def _with_the_best(self, reached: _Reached, stage: Stage) -> _Reached | Stage:
         """With the best cause of a stage besides; where it comes to too little about the plants that have it, that

@@ -83,6 +83,7 @@ class Explanation:
         joint: the runs, as they were whitened at the end.
         claim: nats that the first cause had to have, or would have had to.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
+        is_of_two: the first cause is too little by itself, and was taken together with the second.
     """
 
     null: Found
@@ -93,6 +94,7 @@ class Explanation:
     joint: Joint
     claim: float = FIRST
     unnamed: Unnamed | None = None
+    is_of_two: bool = False
 
     @property
     def typical(self) -> Array:

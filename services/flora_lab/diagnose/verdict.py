@@ -220,7 +220,8 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
                 confidence=round(sure, 3),
                 p_value=_p_value(stage),
                 confusable_with=[t.effect.name for t in alike],
-                evidence=_sentence(meaning(best.effect, parameters, interval), best.gain, alike),
+                evidence=_sentence(meaning(best.effect, parameters, interval), best.gain, alike)
+                + _of_two(explanation, place),
                 nats=round(best.gain, 1),
                 form=form,
             )
@@ -328,6 +329,14 @@ def _sentence(text: str, nats: float, alike: Sequence[Tried]) -> str:
     if alike:
         told += f" These runs do not tell it from {_listed([t.effect.title.lower() for t in alike])}."
     return told
+
+
+def _of_two(explanation: Explanation, place: int) -> str:
+    """What is to be said of causes of which one by itself is too little."""
+    if not explanation.is_of_two or place > 1:
+        return ""
+    other = explanation.accepted[1 - place].tried.effect.title.lower()
+    return f" That is beside {other}: neither of the two is enough by itself, and both together are."
 
 
 def _listed(names: Sequence[str]) -> str:
