@@ -58,7 +58,7 @@ class CaptureSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     jpeg_quality: Annotated[int, msgspec.Meta(ge=30, le=100)] = 93
     """Of the pictures that ``picamera2`` and ``opencv`` take."""
 
-    hang_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, lt=30.0)] = 25.0
+    hang_timeout_s: Annotated[float, msgspec.Meta(ge=1.0, lt=30.0)] = 25.0
     """Real seconds after which a camera that gives no picture is killed and started anew."""
 
     def settings(self, camera: CameraSection, twin: str) -> CameraSettings:

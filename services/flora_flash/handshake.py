@@ -24,7 +24,7 @@ BOX_AGAIN_S: Final = 1.0
 TIME_OUTS_BEFORE_DARK: Final = 2
 """Ticks in a row without any word of flora-capture, after which plants are not lit for nobody at further ones."""
 
-RealSeconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
+RealSeconds = Annotated[float, msgspec.Meta(ge=1.0, le=3600.0)]
 
 
 class FlashSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
