@@ -220,8 +220,9 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
                 confidence=round(sure, 3),
                 p_value=_p_value(stage),
                 confusable_with=[t.effect.name for t in alike],
-                evidence=_sentence(meaning(best.effect, parameters, interval), best.gain, alike)
-                + _of_two(explanation, place),
+                evidence=_sentence(
+                    meaning(best.effect, parameters, interval), best.gain, alike, _of_two(explanation, place)
+                ),
                 nats=round(best.gain, 1),
                 form=form,
             )
@@ -323,9 +324,9 @@ def _is_side_told(tried: Tried) -> bool:
     return tried.gusts.evidence == 0.0 or tried.gain - tried.gusts.evidence >= FIRST
 
 
-def _sentence(text: str, nats: float, alike: Sequence[Tried]) -> str:
+def _sentence(text: str, nats: float, alike: Sequence[Tried], of_two: str) -> str:
     text = text[0].upper() + text[1:]
-    told = f"{text}: with it the runs are {times_as_probable(nats)}."
+    told = f"{text}: with it the runs are {times_as_probable(nats)}{of_two}."
     if alike:
         told += f" These runs do not tell it from {_listed([t.effect.title.lower() for t in alike])}."
     return told
@@ -336,7 +337,7 @@ def _of_two(explanation: Explanation, place: int) -> str:
     if not explanation.is_of_two or place > 1:
         return ""
     other = explanation.accepted[1 - place].tried.effect.title.lower()
-    return f" That is beside {other}: neither of the two is enough by itself, and both together are."
+    return f", beside {other}; neither of the two is enough by itself, and both together are"
 
 
 def _listed(names: Sequence[str]) -> str:
