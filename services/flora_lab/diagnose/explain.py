@@ -148,7 +148,9 @@ class Explainer:
             stage: the first one, of which nothing was taken.
         """
         first = stage.tried[0]
-        if reached.accepted or first.found is None or first.gain < NEXT_TO_NOTHING or self._is_outdone(stage, ()):
+        if reached.accepted or first.found is None or self._is_outdone(stage, ()):
+            return None
+        if not NEXT_TO_NOTHING <= first.gain < self._needed(stage, ()):  # with more it has been weighed already
             return None
         one = self._with_the_best(reached, stage)
         if not isinstance(one, _Reached):
