@@ -111,8 +111,7 @@ class Explainer:
         null = stages[0].before if swing is None else joint.fit(alone)
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        is_of_two = len(accepted) > 1 and stages[0].tried[0].gain < first
-        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside, is_of_two)
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
 
     def first_stage(self) -> Stage:
         """All causes on top of none."""

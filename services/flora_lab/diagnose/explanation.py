@@ -83,7 +83,6 @@ class Explanation:
         joint: the runs, as they were whitened at the end.
         claim: nats that the first cause had to have, or would have had to.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
-        is_of_two: the first cause is too little by itself, and was taken together with the second.
     """
 
     null: Found
@@ -94,12 +93,16 @@ class Explanation:
     joint: Joint
     claim: float = FIRST
     unnamed: Unnamed | None = None
-    is_of_two: bool = False
 
     @property
     def typical(self) -> Array:
         """Constants of the typical plant as these runs and the reference tell them together, shape (9,)."""
         return self.joint.base.mean_with(self.found.traits)
+
+    @property
+    def is_of_two(self) -> bool:
+        """Whether the first cause is too little by itself, and was taken together with the second."""
+        return len(self.accepted) > 1 and self.stages[0].tried[0].gain < self.claim
 
     @property
     def dropped(self) -> tuple[str, ...]:

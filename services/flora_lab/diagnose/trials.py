@@ -235,4 +235,5 @@ def _is_worth_a_name(fit: Found) -> bool:
 
 
 def started(found: Found) -> Found:
+    """A fit to begin another one from, without what holds for its own runs alone."""
     return replace(found, residuals=[], jacobians=[])
