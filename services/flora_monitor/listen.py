@@ -67,6 +67,7 @@ class Listener:
         self._poller.register(self.client.publisher, zmq.POLLIN)
         self._looked_s, self._waited_s = time.monotonic(), 0.0
         self._connected_s: float | None = None
+        self._has_heard = False
         self._has_warned = False
         self._is_told = False
         self._without_bus = without_bus
@@ -79,8 +80,8 @@ class Listener:
 
     @property
     def has_answered(self) -> bool:
-        """The bus has answered once, be it gone by now."""
-        return self._connected_s is not None
+        """The bus has answered once, be it gone by now: what it keeps may be heard before it says that it is there."""
+        return self._has_heard or self._connected_s is not None
 
     @property
     def endpoint(self) -> str:
@@ -107,7 +108,8 @@ class Listener:
             was_connected = self.connected
             self.client.handle_publisher()
             heard = self.client.receive_all()
-            self._is_told = self._is_told or bool(heard)  # whoever says something needs no explanation
+            self._has_heard = self._has_heard or bool(heard)
+            self._is_told = self._is_told or self._has_heard  # whoever says something needs no explanation
             arrivals = [a for a in heard if matches(self._pattern, topic_text(a))]
             if self.misses_bus and self._without_bus is not None and not self._has_warned:
                 self._has_warned = True

@@ -7,13 +7,15 @@ import signal
 import socket
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 
 from flora_common.bus_connection import NO_BUS_AFTER_S, STILL_AFTER_S
-from flora_common.messages import Tick
+from flora_common.messages import Tick, encode
 
 HELD_S = NO_BUS_AFTER_S + 1.5
 
@@ -87,3 +89,48 @@ def test_the_doctor_tells_apart_too(held: Any) -> None:
     found = {line["part"]: line for line in map(json.loads, out.splitlines())}
     assert found["bus"]["verdict"] == "wrong"
     assert "does not answer: it hangs" in found["bus"]["text"]
+
+
+class KeepsBeforeItAnswers:
+    """A bus that has said all it keeps, and is then too busy to say that it is there."""
+
+    def __init__(self, address: Any) -> None:
+        context = zmq.Context.instance()
+        self.incoming, self.outgoing = context.socket(zmq.PULL), context.socket(zmq.XPUB)
+        self.incoming.bind(address.publish)
+        self.outgoing.bind(address.subscribe)
+
+    def serve(self, process: subprocess.Popen[str]) -> tuple[str, str]:
+        tick = Tick(tick=3, time_s=900.0, source="flora-flash", seq=1)
+        end_s = time.monotonic() + 20
+        while process.poll() is None:
+            assert time.monotonic() < end_s, "it has not ended"
+            if self.outgoing.poll(50) and self.outgoing.recv() == b"\x01":
+                self.outgoing.send_multipart(encode("test", tick))
+        return process.communicate()
+
+    def close(self) -> None:
+        self.incoming.close(linger=0)
+        self.outgoing.close(linger=0)
+
+
+@pytest.fixture
+def slow(bus: Any) -> Iterator[KeepsBeforeItAnswers]:
+    keeps = KeepsBeforeItAnswers(bus.address)
+    yield keeps
+    keeps.close()
+
+
+def test_what_it_keeps_is_heard_before_it_says_that_it_is_there(bus: Any, slow: KeepsBeforeItAnswers) -> None:
+    tail = bus.start("flora-monitor", "tail", "tick", "--count", "1", "--config", str(bus.config))
+    out, err = slow.serve(tail)
+    assert json.loads(out)["time_s"] == 900.0
+    assert err.startswith("flora-monitor: 1 message, 0 lost, 0 bad")
+    assert tail.returncode == 0
+
+
+def test_a_recording_of_it_is_kept(bus: Any, slow: KeepsBeforeItAnswers, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    record = bus.start("flora-monitor", "record", str(file), "--count", "1", "--config", str(bus.config))
+    _, err = slow.serve(record)
+    assert (record.returncode, file.is_file()) == (0, True), err
