@@ -86,7 +86,7 @@ def test_a_cause_has_no_name_where_healthy_runs_show_as_much_of_it() -> None:
     folds[1, LOOKED_FOR.index("camera_roll")] = 300.0
     with one_blas_thread():
         as_usual, doubted = (Explainer(scenes, one) for one in (known(), replace(known(), cross_fit=folds)))
-        stage = as_usual.first_stage()
+        stage = as_usual.trials.first_stage()
         assert stage.tried[0].effect.name == "camera_roll"
         asked = [one.explain().claim for one in (as_usual, doubted)]
     assert asked[1] > asked[0] + 10.0

@@ -17,9 +17,9 @@ import numpy as np
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import learn
-from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.knowledge import LAW_ROUNDS, LOOKED_FOR, Knowledge, known_of, law_of, under
 from flora_lab.diagnose.scene import Scene
+from flora_lab.diagnose.trials import Trials
 from flora_lab.effects.law_forms import LAWS, Law
 
 FOLDS: Final = 3
@@ -53,7 +53,7 @@ def _held_out(scenes: Sequence[Scene], best: learn.Learned, known: Knowledge, on
         kept = [i for i in range(len(scenes)) if i not in out]
         if len(scenes) >= LEAST_RUNS:
             less = known_of([scenes[i] for i in kept], learn.learned_by(scenes, best, kept), known.law)
-            tried = Explainer([scenes[i] for i in out], less).first_stage().tried
+            tried = Trials([scenes[i] for i in out], less).first_stage().tried
             gains = {one.effect.name: one.gain for one in tried}
             found.append([gains.get(name, 0.0) for name in LOOKED_FOR])
         on_fold()

@@ -34,7 +34,6 @@ MOST_CAUSES: Final = 3
 BESIDE, BESIDE_A_SWING = 0.15, 0.01
 """Share of all evidence for causes that something beside them must come to: no cause is quite what nature does. A
 swing's evidence is from minutes, and leaves nothing in the hours' means in which anything else shows."""
-_RESTARTS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +95,7 @@ class Explainer:
         reached = _Reached(joint, null)
         stages: list[Stage] = []
         while len(stages) <= MOST_CAUSES:
-            stage = self.trials.settled(reached.joint, reached.found, reached.swing, _RESTARTS if not stages else 1)
+            stage = self.trials.settled(reached.joint, reached.found, reached.swing)
             reached = replace(reached, found=stage.before)
             stage, further = self._further(reached, stage)
             stages.append(stage)
@@ -112,11 +111,6 @@ class Explainer:
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
         return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
-
-    def first_stage(self) -> Stage:
-        """All causes on top of none."""
-        _, joint, null = self.trials.begun()
-        return self.trials.settled(joint, null, None, _RESTARTS)
 
     def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether the best cause of a stage is one."""
@@ -154,7 +148,7 @@ class Explainer:
         one = self._with_the_best(reached, stage)
         if not isinstance(one, _Reached):
             return None
-        beside = self.trials.settled(one.joint, one.found, one.swing, 1)
+        beside = self.trials.settled(one.joint, one.found, one.swing)
         asked = self._needed(stage, ()) + self._needed(beside, one.accepted)
         if first.gain + beside.tried[0].gain < asked:
             return None

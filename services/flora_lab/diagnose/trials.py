@@ -25,6 +25,8 @@ from flora_lab.effects.effect import Effect
 
 _MUCH: Final = 3.0
 """So many times what healthy runs leave is left where the plants themselves were not found."""
+_RESTARTS_AT_FIRST: Final = 2
+"""Times that plants are looked for again at most before a first cause; before another one once."""
 
 
 class Trials:
@@ -68,7 +70,12 @@ class Trials:
             null = max(null, joint.fit(joint.null()), key=lambda fit: fit.evidence)
         return alone, joint, null
 
-    def settled(self, joint: Joint, before: Found, swing: Swing | None, restarts: int) -> Stage:
+    def first_stage(self) -> Stage:
+        """All causes on top of none."""
+        _, joint, null = self.begun()
+        return self.settled(joint, null, None)
+
+    def settled(self, joint: Joint, before: Found, swing: Swing | None) -> Stage:
         """One step, once the plants are found: what many causes seem to explain may be plants that were not, and so
         these are looked for again from the winner's.
 
@@ -76,10 +83,10 @@ class Trials:
             joint: the runs, whitened for what is in.
             before: the fit with what is in.
             swing: where one is in.
-            restarts: how often plants are looked for again at most.
         """
         stage = self.stage(joint, before, swing)
-        for _ in range(restarts):
+        is_first = swing is None and not before.hypothesis.causes
+        for _ in range(_RESTARTS_AT_FIRST if is_first else 1):
             better = self._restarted(joint, stage)
             if better.evidence < stage.before.evidence + 1.0:
                 break
