@@ -109,7 +109,6 @@ class Listener:
             self.client.handle_publisher()
             heard = self.client.receive_all()
             self._has_heard = self._has_heard or bool(heard)
-            self._is_told = self._is_told or self._has_heard  # whoever says something needs no explanation
             arrivals = [a for a in heard if matches(self._pattern, topic_text(a))]
             if self.misses_bus and self._without_bus is not None and not self._has_warned:
                 self._has_warned = True
@@ -122,7 +121,7 @@ class Listener:
 
     def explain_silence(self) -> None:
         """Where nothing was heard so far and the bus answers: say once on stderr which rigs it has."""
-        if self._is_told or not self.connected:
+        if self._is_told or self._has_heard or not self.connected:
             return
         self._is_told = True
         rigs = rigs_on(self._rig)

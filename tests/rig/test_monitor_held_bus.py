@@ -96,8 +96,9 @@ class KeepsBeforeItAnswers:
 
     def __init__(self, address: Any) -> None:
         context = zmq.Context.instance()
-        self.incoming, self.outgoing = context.socket(zmq.PULL), context.socket(zmq.XPUB)
+        self.incoming, self.outgoing = context.socket(zmq.XSUB), context.socket(zmq.XPUB)
         self.incoming.bind(address.publish)
+        self.incoming.send(b"\x01")
         self.outgoing.bind(address.subscribe)
 
     def serve(self, process: subprocess.Popen[str]) -> tuple[str, str]:
