@@ -42,7 +42,9 @@ rollback-rig: setup  ## go back to the release that ran before (RIG=user@host)
 wheels: setup  ## is there a wheel of each of the rig's packages for a Raspberry Pi?
 	@$(BIN)/python deploy/rig_wheels.py
 
-test: setup  ## run the tests, two files at a time (JOBS=2)
+# Some tests wait more than they work: two cores are busy with three files.
+test: JOBS = 3
+test: setup  ## run the tests, three files at a time (JOBS=3)
 	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 test-slow: setup  ## the tests that take minutes
