@@ -29,6 +29,7 @@ from flora_lab.diagnose.joint import Base, Found, Joint, ready
 from flora_lab.diagnose.next_experiment import (
     CLOSE_NATS,
     MOST,
+    NO_CAUSE_NEAR,
     NOT_IN_CATALOGUE,
     NOTHING,
     NOTHING_NEAR,
@@ -225,6 +226,27 @@ def test_the_pair_that_is_the_same_comes_into_question_however_far_behind() -> N
     assert [one.name for one in candidates_of(explanation)] == ["phototropic_latency", "clock_offset"]
 
 
+def test_what_may_be_in_place_of_an_earlier_cause_is_asked_for_where_the_last_has_no_rival() -> None:
+    base, scenes = known().base, list(early("phototropic_latency", "delay_h", 0.5))
+    first = explanation_of(scenes, base, {"phototropic_latency": 40.0, "clock_offset": 39.0})
+    second = explanation_of(scenes, base, {"gravitropism": 20.0, "sag": 1.0})
+    both = replace(second, accepted=(*first.accepted, *second.accepted))
+    assert [one.name for one in candidates_of(both)] == ["phototropic_latency", "clock_offset"]
+    asked = next_experiment(scenes, base, both)
+    assert asked.picture == "a picture that shows the lamps change, with its time"
+    rival_last = explanation_of(scenes, base, {"gravitropism": 20.0, "proprioception": 18.0})
+    both = replace(rival_last, accepted=(*first.accepted, *rival_last.accepted))
+    assert [one.name for one in candidates_of(both)] == ["gravitropism", "proprioception"]
+
+
+def test_what_is_named_is_no_rival_of_an_earlier_cause() -> None:
+    base, scenes = known().base, list(early("gravitropism", "factor", 2.2))
+    first = explanation_of(scenes, base, {"gravitropism": 12.0, "proprioception": 11.0})
+    second = explanation_of(scenes, base, {"proprioception": 20.0})
+    both = replace(second, accepted=(*first.accepted, *second.accepted))
+    assert next_experiment(scenes, base, both).why == NOTHING_NEAR
+
+
 def test_a_cause_that_was_nearly_named_is_set_against_nothing() -> None:
     base, scenes = known().base, list(early("gravitropism", "factor", 2.2))
     near = explanation_of(scenes, base, {"gravitropism": 4.0, "sag": 1.0}, "nothing taken")
@@ -232,6 +254,9 @@ def test_a_cause_that_was_nearly_named_is_set_against_nothing() -> None:
     assert list(next_experiment(scenes, base, near).map) == ["nothing / gravitropism"]
     far = explanation_of(scenes, base, {"gravitropism": 1.5}, "nothing taken")
     assert candidates_of(far) == []
+    assert next_experiment(scenes, base, far).why == NO_CAUSE_NEAR
+    nameless = Unnamed("growth", COURSES[0], 12.0, np.zeros(1))
+    assert next_experiment(scenes, base, replace(near, unnamed=nameless)).why == NOT_IN_CATALOGUE
 
 
 # Cases whose plants are not the finder's own

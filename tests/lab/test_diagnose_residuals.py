@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from diagnose_fakes import BASE, found_of, scene_of
 
 from flora_lab.diagnose import residual_statistics as statistics
+from flora_lab.diagnose import residual_words
 from flora_lab.diagnose.diagnosis import Residuals
 from flora_lab.diagnose.replayed import replayed
 from flora_lab.diagnose.residual_words import mm, p_text
@@ -79,11 +81,23 @@ def test_a_push_to_the_right_is_told_with_its_side_and_size() -> None:
 def test_a_day_rhythm_of_growth_is_told_with_its_hours() -> None:
     said, tables = judged(2.0, effect=rhythm)
     assert said.significant
-    assert "growth is" in said.description
-    assert "faster than simulated in hours" in said.description
+    assert "the stem grows" in said.description
+    assert "mm/h faster than simulated in hours" in said.description
+    assert "mm/h more slowly than simulated in hours" in said.description
     by_hour = tables.shown.by_clock_mm_h["own"].mean(axis=0)
     assert int(np.argmax(by_hour)) in (0, 1, 2)
     assert int(np.argmin(by_hour)) in (4, 5, 6)
+
+
+def test_growth_that_is_slower_at_all_hours_is_nowhere_called_faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = np.array([-0.02, -0.02, -0.02, -0.6, -0.02, -0.02, -0.02, -0.02])
+    monkeypatch.setattr(residual_words, "_means", lambda *_: rates)
+    monkeypatch.setattr(residual_words, "_differ", lambda *_: "")
+    said = residual_words._growth(SimpleNamespace(numbers={"own": None}, clearer_plant="own"))
+    assert said == (
+        "Counted from the start of each day, the stem grows 0.02 mm/h more slowly than simulated in hours 0-3 and "
+        "0.60 mm/h more slowly than simulated in hours 9-12."
+    )
 
 
 def test_a_swing_stands_out_at_its_period() -> None:

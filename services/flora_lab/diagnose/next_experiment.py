@@ -20,10 +20,10 @@ import scipy.linalg
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance
 from flora_lab.diagnose.diagnosis import NextExperiment
-from flora_lab.diagnose.explanation import FIRST, Explanation
+from flora_lab.diagnose.explanation import FIRST, Explanation, Stage
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.rhythm import Swing
-from flora_lab.diagnose.rivals import last_choice, rivals
+from flora_lab.diagnose.rivals import choices
 from flora_lab.diagnose.scene import START_SD, TEMPERATURE, Scene
 from flora_lab.diagnose.schedules import CHOICE, DEFAULT, Schedule
 from flora_lab.diagnose.usual_errors import UsualErrors
@@ -45,6 +45,7 @@ NOTHING: Final = "nothing"
 NOTHING_TOLD: Final = "nothing at all"
 """How that is called where a person reads it."""
 NOTHING_NEAR: Final = "Nothing else comes near: no further run is needed to tell causes apart."
+NO_CAUSE_NEAR: Final = "No cause comes near enough to be told by a further run."
 NOT_IN_CATALOGUE: Final = (
     "Something that is not in the catalogue is at work, and no light tells what: look at the runs, and at the box."
 )
@@ -91,8 +92,10 @@ def next_experiment(
         errors: what the law is wrong in; in nothing where None.
     """
     candidates = candidates_of(explanation)
+    if explanation.unnamed is not None and (len(candidates) < 2 or not explanation.accepted):
+        return NextExperiment(why=NOT_IN_CATALOGUE)
     if len(candidates) < 2:
-        return NextExperiment(why=NOTHING_NEAR if explanation.unnamed is None else NOT_IN_CATALOGUE)
+        return NextExperiment(why=NOTHING_NEAR if explanation.accepted else NO_CAUSE_NEAR)
     told = separating(scenes, base, candidates, explanation.swing, errors=errors)
     best, others = candidates[0], candidates[1:]
     asked = {other.name: told[best.name, other.name] for other in others}
@@ -104,7 +107,7 @@ def next_experiment(
     said = _why_light(best.name, by_light, asked, chosen, hours) if chosen is not None else []
     said += [_why_none(best.name, name, pictures.get(name)) for name in without]
     said += [
-        f"Without any light: {text} tells {name} from {best.name}."
+        f"Without any light: {text} tells {name} from {_called(best.name)}."
         for name, text in pictures.items()
         if name not in without
     ]
@@ -125,19 +128,34 @@ def _called(name: str) -> str:
 
 
 def candidates_of(explanation: Explanation) -> list[Candidate]:
-    """The causes that may still be, the best one first; one or none where nothing is in question."""
-    stage = last_choice(explanation)
-    if stage is None:
-        near = [t for t in explanation.stages[-1].tried if t.found is not None and t.gain > 0.5 * FIRST]
-        nothing = [Candidate(NOTHING, explanation.found, 0.0)] if near else []
-        return nothing + [Candidate(t.effect.name, t.found, 0.0) for t in near[:1] if t.found is not None]
+    """The causes that may still be, the best one first; one or none where nothing is in question.
+
+    They are those that may be in the place of the cause that was chosen last, or else of the one before.
+    """
+    stages = choices(explanation)
+    if not stages:
+        tried = explanation.stages[-1].tried
+        near = next((t for t in tried if t.found is not None and t.gain > 0.5 * FIRST), None)
+        if near is None or near.found is None:
+            return []
+        close = Candidate(near.effect.name, _to_the_end(explanation.joint, near.found), 0.0)
+        return [Candidate(NOTHING, explanation.found, 0.0), close]
+    fits = [explanation.found, *(stage.tried[0].found for stage in stages[1:])]
+    in_question = [
+        _in_place_of(stage, fit, explanation.joint) for stage, fit in zip(stages, fits, strict=True) if fit is not None
+    ]
+    return next((one for one in in_question if len(one) > 1), in_question[0])
+
+
+def _in_place_of(stage: Stage, found: Found, joint: Joint) -> list[Candidate]:
+    """The cause that was chosen at a stage, as it was found, and those that may be in its place."""
     best = stage.tried[0]
-    out = [Candidate(best.effect.name, explanation.found, 0.0)]
-    for tried in rivals(explanation):
+    out = [Candidate(best.effect.name, found, 0.0)]
+    for tried in stage.tried[1:]:
         behind = best.gain - tried.gain
         is_near = behind <= (related_nats(best) if is_same(best.effect, tried.effect) else CLOSE_NATS)
         if tried.found is not None and (is_near or tried.effect.name in best.effect.exactly) and len(out) < MOST:
-            out.append(Candidate(tried.effect.name, _to_the_end(explanation.joint, tried.found), max(behind, 0.0)))
+            out.append(Candidate(tried.effect.name, _to_the_end(joint, tried.found), max(behind, 0.0)))
     return out
 
 
@@ -262,13 +280,13 @@ def _why_light(
     if gained > MUCH_NATS:
         said.append(
             f"Better still, but not within a rig's open loop of equal turns: {better.name}, "
-            f"{asked[weakest.name][better.name]:.1f} nats between {best} and {weakest.name}."
+            f"{asked[weakest.name][better.name]:.1f} nats between {_called(best)} and {weakest.name}."
         )
     return said
 
 
 def _why_none(best: str, other: str, what: str | None) -> str:
-    return f"No light tells {best} from {other}" + (f"; {what} would." if what else ".")
+    return f"No light tells {_called(best)} from {other}" + (f"; {what} would." if what else ".")
 
 
 def _pictures(best: str, others: Sequence[str]) -> dict[str, str]:

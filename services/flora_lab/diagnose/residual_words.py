@@ -205,12 +205,12 @@ def _growth(looks: Looks) -> str:
     differ = _differ(looks, "growth")
     if abs(middle) > swing:
         return f"The stem grows {_number(abs(middle))} mm/h {_faster(middle)} than simulated, day and night{differ}."
-    fast, slow = int(np.argmax(rates)), int(np.argmin(rates))
-    return (
-        f"Counted from the start of each day, growth is {_number(rates[fast])} mm/h faster than simulated in hours "
-        f"{statistics.clock_label(fast).removesuffix(' h')} and {_number(-rates[slow])} mm/h slower in hours "
-        f"{statistics.clock_label(slow).removesuffix(' h')}{differ}."
+    said = (
+        f"{_number(abs(rates[k]))} mm/h {_faster(rates[k])} than simulated in hours "
+        f"{statistics.clock_label(k).removesuffix(' h')}"
+        for k in (int(np.argmax(rates)), int(np.argmin(rates)))
     )
+    return f"Counted from the start of each day, the stem grows {' and '.join(said)}{differ}."
 
 
 def _faster(value: float) -> str:

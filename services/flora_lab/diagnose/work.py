@@ -15,7 +15,7 @@ from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_lab.diagnose import chance, clocks, emulated, stored_base
 from flora_lab.diagnose.cross_fit import ROUNDS
-from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, NextExperiment, Residuals
+from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, Residuals
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
@@ -198,9 +198,7 @@ def diagnose(
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c, terms) if further else []
         gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
-        asked = (
-            next_experiment(scenes, start.known.base, explanation, start.known.errors) if causes else NextExperiment()
-        )
+        asked = next_experiment(scenes, start.known.base, explanation, start.known.errors)
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
         verdict=verdict_of(causes, left, bool(runs.knocked)),
