@@ -88,6 +88,11 @@ def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f'<div class="wide"><table><tr>{head}</tr>{inner}</table></div>'
 
 
+def spaced(piece: str) -> str:
+    """A piece with room above and below it."""
+    return f'<div style="margin:1.4rem 0">{piece}</div>'
+
+
 def picture(data: bytes, kind: Literal["png", "jpeg", "gif"], *, alt: str, caption: str = "") -> str:
     """A picture inside the page.
 

@@ -98,8 +98,10 @@ def test_only_what_is_wrong_in_the_record_is_corrected(tmp_path: Path) -> None:
     runs = runs_of(tmp_path)
     corrected_tracks.write(tmp_path / "plant", runs, found_of("sag", 0.7))
     assert not (tmp_path / "plant").exists()
+    assert corrected_tracks.names_of(runs, found_of("sag", 0.7)) == []
     corrected_tracks.write(tmp_path / "camera", runs, found_of("camera_scale", np.log(1.1)))
     files = sorted((tmp_path / "camera").iterdir())
     assert [file.name for file in files] == ["01-plant1.csv", "02-plant2.csv"]
+    assert [file.name for file in files] == corrected_tracks.names_of(runs, found_of("camera_scale", np.log(1.1)))
     for file, run in zip(files, runs.tracks, strict=True):
         assert load_run(file).track.points_cm[:, -1] == pytest.approx(run.track.points_cm[:, -1] / 1.1, abs=1e-3)

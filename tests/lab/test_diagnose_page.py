@@ -13,7 +13,7 @@ from diagnose_fakes import BASE, colours_in, found_of, scene_of
 from html_reader import Reader
 from PIL import Image
 
-from flora_lab.diagnose import figures, figures_of_runs
+from flora_lab.diagnose import figures, figures_of_runs, gain_told
 from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause, NextExperiment, Residuals
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page, sure_text, value_text, verdict_sentence
@@ -111,6 +111,29 @@ def test_hours_without_a_measured_stem_are_said_to_have_none(monkeypatch: pytest
 def test_the_same_tables_give_the_same_picture() -> None:
     _, base, extended = judged()
     assert figures_of_runs.paths(base, extended) == figures_of_runs.paths(base, extended)
+
+
+@pytest.mark.parametrize(
+    ("extended", "said"),
+    [
+        ((0.7, 1.6, 17.0), "After one step, 1 h and the end the extended simulator is farther off"),
+        ((0.62, 1.6, 7.0), "After 1 h the extended simulator is farther off"),
+        ((0.62, 1.2, 7.0), ""),
+    ],
+)
+def test_where_the_extension_is_worse_is_said(extended: tuple[float, float, float], said: str) -> None:
+    step, hour, end = extended
+    free = {"1h": {"base": 1.5, "extended": hour}, "end": {"base": 16.0, "extended": end}}
+    gain = Gain(one_step={"base": 0.63, "extended": step}, free_running=free, judged_on="Each run in turn.")
+    assert ("farther off" in page(diagnosis(gain=gain), {})) is bool(said)
+    assert said in page(diagnosis(gain=gain), {})
+    assert said in "\n".join(gain_told.lines(gain))
+
+
+def test_a_record_that_was_set_right_is_told_with_its_tracks() -> None:
+    said = "what is wrong in it was set right: 2 tracks without that are in the folder corrected"
+    assert said in page(diagnosis(corrected=["01-a.csv", "02-b.csv"], record=[]), {})
+    assert "set right" not in page(diagnosis(), {})
 
 
 def test_a_found_swing_is_marked_in_the_spectrum() -> None:

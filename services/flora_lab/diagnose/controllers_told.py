@@ -100,7 +100,7 @@ def pieces(fitness: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
         )
         alt = "fitness and collisions of controllers, by the simulator that they were evolved in"
         picture = html_page.picture(pictures["controllers"], "png", alt=alt, caption=caption)
-        out.append(f'<div style="margin:1.4rem 0">{picture}</div>')
+        out.append(html_page.spaced(picture))
     for told in fitness.values():
         out.append(html_page.paragraph(sentence(told)))
         rows = [[name, *_cells(told[key])] for key, name in WHERE.items()]

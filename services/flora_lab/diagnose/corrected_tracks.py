@@ -19,6 +19,14 @@ from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import RunTrack
 
 OF_THE_RECORD: Final = ("camera", "clock")
+FOLDER: Final = "corrected"
+
+
+def names_of(runs: Runs, found: Found) -> list[str]:
+    """What the corrected tracks are called, one of each run; none where nothing in the record is to be corrected."""
+    if not any(runs.knocks) and not any(cause.effect.where in OF_THE_RECORD for cause in found.hypothesis.causes):
+        return []
+    return [f"{number:02d}-{run.file.stem}.csv" for number, run in enumerate(runs.tracks, start=1)]
 
 
 def write(folder: Path, runs: Runs, found: Found) -> None:
@@ -26,13 +34,13 @@ def write(folder: Path, runs: Runs, found: Found) -> None:
 
     Covariates are left out: what they were at another time is not known.
     """
-    if not any(runs.knocks) and not any(cause.effect.where in OF_THE_RECORD for cause in found.hypothesis.causes):
+    names = names_of(runs, found)
+    if not names:
         return
     change = found.hypothesis.change(found.coordinates)
     folder.mkdir()
-    for number, (run, knocks) in enumerate(zip(runs.tracks, runs.knocks, strict=True), start=1):
-        text = corrected_text(run, change, knocks)
-        (folder / f"{number:02d}-{run.file.stem}.csv").write_text(text, encoding="utf-8")
+    for name, run, knocks in zip(names, runs.tracks, runs.knocks, strict=True):
+        (folder / name).write_text(corrected_text(run, change, knocks), encoding="utf-8")
 
 
 def corrected_text(run: RunTrack, change: Change, knocks: Sequence[Knock] = ()) -> str:

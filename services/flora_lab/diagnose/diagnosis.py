@@ -133,6 +133,9 @@ class Diagnosis(msgspec.Struct, frozen=True):
     summary: str
     record: list[str] = []
     """What was found in the record before anything else: gaps, stems that were found wrongly."""
+    corrected: list[str] = []
+    """Tracks in the folder ``corrected``, of each run without what was wrong in the record of it; none where nothing
+    was."""
     runs: list[str] = []
     described: Described | None = None
     """What has no name but can be described; None where nothing else seems to be at work."""

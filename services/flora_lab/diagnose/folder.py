@@ -40,7 +40,6 @@ PAGE_FILE: Final = "report.html"
 PICTURES: Final = "pictures"
 BASE: Final = "base.simulator"
 EXTENDED: Final = "extended.simulator"
-CORRECTED: Final = "corrected"
 EXPERIMENT: Final = "next-experiment.toml"
 
 
@@ -79,7 +78,7 @@ def _write_found(folder: Path, result: Result) -> None:
     elif result.extended is not None:
         provenance = _and_from(start.provenance, result, EXTENSION)
         stored_base.write_known(folder / EXTENDED, result.extended, start.known, provenance)
-    corrected_tracks.write(folder / CORRECTED, result.runs, result.explanation.found)
+    corrected_tracks.write(folder / corrected_tracks.FOLDER, result.runs, result.explanation.found)
     asked = result.diagnosis.next_experiment
     chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
     if chosen is not None:

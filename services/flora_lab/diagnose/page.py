@@ -8,12 +8,12 @@ from typing import Any, Final, Literal
 
 from flora_common.counted import counted
 from flora_lab import html_page
-from flora_lab.diagnose import controllers_told, learned_told
-from flora_lab.diagnose.diagnosis import Diagnosis, Gain, NamedCause
-from flora_lab.diagnose.figures import GAIN_NAMES
+from flora_lab.diagnose import gain_told, learned_told
+from flora_lab.diagnose.diagnosis import Diagnosis, NamedCause
 from flora_lab.diagnose.next_experiment import NOTHING, NOTHING_TOLD
 from flora_lab.diagnose.replayed import Plant
 from flora_lab.diagnose.residual_words import mm, p_text, percent_sure
+from flora_lab.diagnose.summary import set_right
 from flora_lab.diagnose.verdict import meaning
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Parameter
@@ -67,7 +67,7 @@ def page(diagnosis: Diagnosis, pictures: Mapping[str, bytes], *, evidence: Evide
         *_seen(diagnosis, pictures, plant),
         *_left(diagnosis),
         *learned_told.pieces(diagnosis.learned, pictures),
-        *_gained(diagnosis.gain, pictures),
+        *gain_told.pieces(diagnosis.gain, pictures),
         *_next(diagnosis),
         *_record(diagnosis),
         html_page.section("All the numbers"),
@@ -248,12 +248,8 @@ def _seen(diagnosis: Diagnosis, pictures: Mapping[str, bytes], plant: Plant) -> 
                 told = f"{caption} {_EXTENDED}"
             elif name == "evidence" and diagnosis.verdict == "unexplained" and not diagnosis.causes:
                 told = f"{caption} {_NAMELESS}"
-            out.append(_spaced(html_page.picture(pictures[name], kind, alt=alt, caption=told)))
+            out.append(html_page.spaced(html_page.picture(pictures[name], kind, alt=alt, caption=told)))
     return out
-
-
-def _spaced(piece: str) -> str:
-    return f'<div style="margin:1.4rem 0">{piece}</div>'
 
 
 def _left(diagnosis: Diagnosis) -> list[str]:
@@ -261,31 +257,6 @@ def _left(diagnosis: Diagnosis) -> list[str]:
         return []
     nothing = "Nothing that stands out from what reference runs leave over as well."
     return [html_page.section("What is left"), html_page.paragraph(diagnosis.residuals.left or nothing)]
-
-
-def _gained(gain: Gain, pictures: Mapping[str, bytes]) -> list[str]:
-    if not gain.free_running and not gain.one_step and not gain.controller_fitness:
-        return []
-    out = [html_page.section("What the extension gains")]
-    if gain.judged_on:
-        out.append(html_page.paragraph(f"Judged on: {gain.judged_on}."))
-    if "gain" in pictures:
-        caption = "Error of the tip on runs that no fit has seen; the first stem alone is told. Less is better."
-        picture = html_page.picture(pictures["gain"], "png", alt="errors by simulator and time", caption=caption)
-        out.append(_spaced(picture))
-    groups = [("one step", gain.one_step)] if gain.one_step else []
-    groups += [
-        ("the end" if time == "end" else f"{time.removesuffix('h')} h", e) for time, e in gain.free_running.items()
-    ]
-    shown = [key for key in GAIN_NAMES if any(key in errors for _, errors in groups)]
-    if groups:
-        rows = [[name, *(_mm_or_none(errors.get(key)) for key in shown)] for name, errors in groups]
-        out.append(html_page.table(["error of the tip after", *(GAIN_NAMES[key] for key in shown)], rows))
-    return out + controllers_told.pieces(gain.controller_fitness, pictures)
-
-
-def _mm_or_none(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f} mm" if value < 9.995 else f"{value:.1f} mm"
 
 
 def _next(diagnosis: Diagnosis) -> list[str]:
@@ -322,9 +293,10 @@ def _title(name: str) -> str:
 
 
 def _record(diagnosis: Diagnosis) -> list[str]:
-    if not diagnosis.record:
+    lines = [*diagnosis.record, *([set_right(diagnosis.corrected)] if diagnosis.corrected else [])]
+    if not lines:
         return []
-    items = "".join(f"<li>{escape(line)}</li>" for line in diagnosis.record)
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
     return [html_page.section("What was wrong with the record"), f"<ul>{items}</ul>"]
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from flora_common.counted import counted
+from flora_lab.diagnose.corrected_tracks import FOLDER
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.residual_words import one_in, p_text, percent_sure
@@ -20,6 +22,16 @@ _WORTH_A_WORD: Final = 0.7
 def title(effect: str) -> str:
     """For people."""
     return BY_NAME[effect].title
+
+
+def set_right(corrected: Sequence[str]) -> str:
+    """What became of runs in whose record something was wrong, in a sentence.
+
+    Args:
+        corrected: names of the tracks without that.
+    """
+    tracks = f"{counted(len(corrected), 'track')} without that {'is' if len(corrected) == 1 else 'are'}"
+    return f"what is wrong in it was set right: {tracks} in the folder {FOLDER}, to take in place of the runs"
 
 
 def nearest(explanation: Explanation) -> str:

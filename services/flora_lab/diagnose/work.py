@@ -13,7 +13,7 @@ import msgspec
 from flora_common import files
 from flora_common.counted import counted
 from flora_common.errors import BadInput
-from flora_lab.diagnose import chance, clocks, emulated, stored_base
+from flora_lab.diagnose import chance, clocks, corrected_tracks, emulated, stored_base
 from flora_lab.diagnose.cross_fit import ROUNDS
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, Residuals
 from flora_lab.diagnose.explain import Explainer
@@ -209,6 +209,7 @@ def diagnose(
         summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"], runs.knocked),
         described=_described(left),
         record=[*runs.notes, *(f"{one}: {KNOCKED}" for one in runs.knocked), *left_out],
+        corrected=corrected_tracks.names_of(runs, explanation.found),
         runs=[files.shown(track.file) for track in runs.tracks],
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),
