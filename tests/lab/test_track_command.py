@@ -113,6 +113,20 @@ def test_where_most_frames_gave_no_stem_it_says_what_to_try(tmp_path: Path, capf
     assert "most frames" not in capfd.readouterr().err
 
 
+def test_where_stems_were_found_but_hardly_one_is_ok_it_says_what_to_try(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path / "run")
+    assert (
+        main(["track", str(run), "-o", str(tmp_path / "a.csv"), "--window", "0,90,319,239", "--widest-stem-cm", "2"])
+        == 0
+    )
+    said = capfd.readouterr()
+    assert "0 ok" not in said.out
+    assert "touches_edge" in said.out
+    assert said.err.splitlines()[-1].startswith("most frames gave no stem that is ok: look at them with --overlays")
+
+
 def test_existing_output_is_kept_unless_forced(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run")
     out = tmp_path / "track.csv"

@@ -348,7 +348,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 
 def _label(name: str) -> str:
     """The name of a figure as people read it, its unit behind a comma."""
-    for end, unit in (("_mm_per_h", ", mm/h"), ("_mm", ", mm"), ("_h", ", h")):
+    for end, unit in (("_per_cm_h", ", /(cm h)"), ("_mm_per_h", ", mm/h"), ("_mm", ", mm"), ("_h", ", h")):
         if name.endswith(end):
             return name[: -len(end)].replace("_", " ") + unit
     return name.replace("_", " ")

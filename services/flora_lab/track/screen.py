@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, T
 from rich.text import Text
 
 from flora_common.counted import counted
+from flora_common.vision.reading import OK
 from flora_lab.bars import Bars
 from flora_lab.track.learning import Learnt, Sorted
 from flora_lab.track.pictures import Wanted
@@ -76,8 +77,8 @@ class Outcome:
 
     @property
     def advice(self) -> str:
-        """What to try where most frames gave no stem; empty where most did."""
-        if 2 * self.summary.readings >= self.summary.frames:
+        """What to try where most frames gave no stem, or none to be relied upon; empty where most did."""
+        if 2 * self.summary.outcomes[OK] >= self.summary.frames:
             return ""
         tries = [] if self.wanted.overlays else ["look at them with --overlays"]
         if self.learnt.made_by != "background":
@@ -85,7 +86,8 @@ class Outcome:
         if self.method == "path":
             tries.append("give --hidden-base-cm where a rim hides the foot of the stem")
         tries.append("see whether anchor and scale are right")
-        return f"most frames gave no stem: {', '.join(tries)}"
+        gave = "no stem" if 2 * self.summary.readings < self.summary.frames else "no stem that is ok"
+        return f"most frames gave {gave}: {', '.join(tries)}"
 
     def lines(self) -> list[str]:
         """For people."""
