@@ -167,6 +167,18 @@ def test_an_extended_simulator_knows_what_it_was_extended_with(diagnosed: Path, 
     assert found.verdict == "nothing_wrong"
     assert found.causes == []
     assert found.base["learned_from"] == "extended.simulator, learned from 5 runs, and extended with draught"
+    assert "extended_by_these_runs" not in found.base
+
+
+def test_a_simulator_that_was_extended_by_these_very_runs_confirms_nothing(
+    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, *_ = measured(runs)
+    simulator = diagnosed / "extended.simulator"
+    assert main(["diagnose", str(one), "--simulator", str(simulator), "--no-report", "-o", str(tmp_path / "out")]) == 0
+    said = "the simulator was extended by what this very run told: what it explains of that is no confirmation"
+    assert said in capsys.readouterr().err
+    assert told(tmp_path / "out").base["extended_by_these_runs"] == said
 
 
 def test_a_camera_that_was_knocked_is_told_and_turned_back(diagnosed: Path, runs: Path, tmp_path: Path) -> None:

@@ -127,6 +127,20 @@ def check_unseen(runs: Runs | None, learned_from: Collection[str]) -> None:
             raise BadInput(f"{track.file}: the simulator was learned from this run; take one that it has not seen")
 
 
+def told_again(runs: Runs, extended_by: Collection[str]) -> str:
+    """A sentence where a simulator was extended by what runs told that it is now compared with; else empty.
+
+    Args:
+        runs: these runs.
+        extended_by: SHA-256 of the tracks that it was extended by.
+    """
+    again = sum(track.sha256 in extended_by for track in runs.tracks)
+    if not again:
+        return ""
+    which = "this very run" if len(runs.tracks) == 1 else f"{again} of these {len(runs.tracks)} runs"
+    return f"the simulator was extended by what {which} told: what it explains of that is no confirmation"
+
+
 def check_known(simulator: Simulator[Any], runs: Runs | None) -> None:
     """Whether a simulator can be run beside runs at all, before anything that takes its time.
 

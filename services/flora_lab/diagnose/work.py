@@ -19,7 +19,15 @@ from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, Resid
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import SWING, Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
-from flora_lab.diagnose.inputs import Runs, check_known, check_unseen, read_holdout, read_reference, read_runs
+from flora_lab.diagnose.inputs import (
+    Runs,
+    check_known,
+    check_unseen,
+    read_holdout,
+    read_reference,
+    read_runs,
+    told_again,
+)
 from flora_lab.diagnose.knocks import KNOCKED
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.learned_base import learned_base
@@ -177,6 +185,9 @@ def diagnose(
     notes: list[str] = []
     runs = read_runs(paths, notes.append)
     further = read_holdout(holdout, runs)
+    seen = stored.info.provenance.track if stored is not None else []
+    again = told_again(runs, {track.sha256 for track in seen if track.part == EXTENSION})
+    notes += [again] if again else []
     for text in notes:
         note(text)
     start = start_from(runs, further, stored, reference, stage)
@@ -213,7 +224,11 @@ def diagnose(
         runs=[files.shown(track.file) for track in runs.tracks],
         considered=[_considered(stage.tried) for stage in explanation.stages],
         needed_nats=round(explanation.claim, 1),
-        base={"learned_from": start.learned_from, **_base_words(start.known)},
+        base={
+            "learned_from": start.learned_from,
+            **({"extended_by_these_runs": again} if again else {}),
+            **_base_words(start.known),
+        },
         learned=mended.told() if mended is not None else {},
     )
     extensions = extensions_of(causes[len(faults) :])
