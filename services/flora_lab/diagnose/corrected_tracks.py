@@ -18,13 +18,12 @@ from flora_lab.diagnose.knocks import Knock, turned_back
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import RunTrack
 
-OF_THE_RECORD: Final = ("camera", "clock")
 FOLDER: Final = "corrected"
 
 
 def names_of(runs: Runs, found: Found) -> list[str]:
     """What the corrected tracks are called, one of each run; none where nothing in the record is to be corrected."""
-    if not any(runs.knocks) and not any(cause.effect.where in OF_THE_RECORD for cause in found.hypothesis.causes):
+    if not any(runs.knocks) and not any(cause.effect.is_of_the_record for cause in found.hypothesis.causes):
         return []
     return [f"{number:02d}-{run.file.stem}.csv" for number, run in enumerate(runs.tracks, start=1)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from flora_lab import html_page
@@ -21,7 +22,7 @@ def groups_of(gain: Gain) -> list[tuple[str, dict[str, float]]]:
 
 def where_worse(gain: Gain) -> str:
     """After how long the extended simulator is farther off than the one as it is, in a sentence; empty where never."""
-    worse = [after for after, e in groups_of(gain) if "extended" in e and e["extended"] > e.get("base", e["extended"])]
+    worse = [after for after, e in groups_of(gain) if e.get("extended", 0.0) > e.get("base", math.inf)]
     if not worse:
         return ""
     return f"After {_listed(worse)} the extended simulator is farther off than the simulator as it is."

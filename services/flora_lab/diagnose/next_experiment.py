@@ -134,12 +134,13 @@ def candidates_of(explanation: Explanation) -> list[Candidate]:
     """
     stages = choices(explanation)
     if not stages:
-        tried = explanation.stages[-1].tried
-        near = next((t for t in tried if t.found is not None and t.gain > 0.5 * FIRST), None)
-        if near is None or near.found is None:
-            return []
-        close = Candidate(near.effect.name, _to_the_end(explanation.joint, near.found), 0.0)
-        return [Candidate(NOTHING, explanation.found, 0.0), close]
+        near = (
+            Candidate(tried.effect.name, _to_the_end(explanation.joint, tried.found), 0.0)
+            for tried in explanation.stages[-1].tried
+            if tried.found is not None and tried.gain > 0.5 * FIRST
+        )
+        best = next(near, None)
+        return [] if best is None else [Candidate(NOTHING, explanation.found, 0.0), best]
     fits = [explanation.found, *(stage.tried[0].found for stage in stages[1:])]
     in_question = [
         _in_place_of(stage, fit, explanation.joint) for stage, fit in zip(stages, fits, strict=True) if fit is not None

@@ -220,6 +220,11 @@ class Effect:
         return {**{p.name: p.usual for p in self.parameters if p.usual is not None}, **values}
 
     @property
+    def is_of_the_record(self) -> bool:
+        """Whether it is in the pictures or the clocks, so that the data are corrected for it and no simulator is."""
+        return self.where in ("camera", "clock")
+
+    @property
     def is_of_constants(self) -> bool:
         """Whether it is but another value of constants in which plants differ anyway."""
         change = Change()

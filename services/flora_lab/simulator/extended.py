@@ -25,7 +25,6 @@ from flora_lab.simulator.tropism import TropismLaw
 
 TEMPERATURE: Final = "temperature_c"
 """The covariate that growth may follow."""
-_OF_THE_RECORD: Final = ("camera", "clock")
 _SMALL_PER_CM_H: Final = 1e-4
 """A bias that stems answer linearly."""
 
@@ -54,7 +53,7 @@ def _effect_of(extension: Extension, where: str) -> Effect:
     if effect is None:
         raise BadInput(f"{where}: no effect `{extension.effect[:40]}`{did_you_mean(extension.effect, known)}")
     told = f"{where}: effect `{effect.name}`"
-    if effect.where in _OF_THE_RECORD:
+    if effect.is_of_the_record:
         raise BadInput(f"{told} is one of the {effect.where}: correct the data for it; it is no part of a simulator")
     if not effect.forms:
         raise BadInput(f"{told} is what a learned simulator may lack; the mechanistic one has it anyway")
