@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from flora_common.arrays import FloatArray
+from flora_common.light_schedule import parse_schedule
 from flora_common.runs import CameraSection, Light
 from flora_twin.box import CAMERA, PinholeCamera
-from flora_twin.grow import parse_schedule
 from flora_twin.photographs import background_pictures, photographed
 from flora_twin.runs import open_loop
 

@@ -1,4 +1,4 @@
-"""``flora-controller check FILE``: whether a controller file could steer, what it is, and who signed it."""
+"""``flora-controller check FILE``: whether a controller file or a light plan could steer, what it is, who signed it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,26 @@ from flora_common.cli import ArgumentParser, run_cli
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller
 from flora_common.counted import counted
 from flora_common.errors import BadController, BadInput
+from flora_common.light_plan import SUFFIX as LIGHTS_SUFFIX
+from flora_common.light_plan import read_light_plan
 from flora_common.signing import read_trusted_keys, signer_of
 
 
 def check_file(argv: Sequence[str]) -> int:
     """Run the command; returns the exit status."""
     parser = ArgumentParser("flora-controller check", description="Check a controller file and end.")
-    parser.add_argument("file", type=Path, metavar="FILE", help=f"a controller file, *{SUFFIX}")
+    told = f"a controller file, *{SUFFIX}, or a light plan, *{LIGHTS_SUFFIX}"
+    parser.add_argument("file", type=Path, metavar="FILE", help=told)
     parser.add_argument(
         "--keys", type=Path, metavar="DIR", help="public keys; a signature must then be there and be by one of them"
     )
 
     def work() -> None:
         options = parser.parse_args(argv)
+        if options.file.name.endswith(LIGHTS_SUFFIX):
+            plan = read_light_plan(options.file).plan
+            print(f"{options.file}: good; {plan.hours:g} h of light by the clock: {plan.schedule}")
+            return
         loaded = load_controller(options.file)
         network, file = loaded.network, loaded.file
         links = sum(len(node.links) for node in network.nodes)

@@ -50,7 +50,8 @@ class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """``[controller]``: what steers, whom it believes, and what happens where it is blind."""
 
     use: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "open-loop"
-    """``open-loop``, ``tip-follower``, ``waypoint``, ``dark``, or the path of a ``.controller.json`` file."""
+    """``open-loop``, ``tip-follower``, ``waypoint``, ``dark``, or the path of a ``.controller.json`` or
+    ``.lights.toml`` file."""
 
     blind_hold_ticks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 12
     """Ticks without a stem for which the last light is held; then the open-loop schedule runs."""
@@ -201,7 +202,8 @@ class ControllerCore:
             decision = self._ask(stem, points)
         record = self.record
         blind_ticks = record.blind_ticks + 1 if points is None or decision.light is None else 0
-        self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks)
+        over = record.run_over or (decision.over and f"run over: {decision.over}")
+        self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks, run_over=over)
         if decision.light is None:
             return self._blindly(stem.time_s, decision.reason, record.light, blind_ticks), True
         self.record = msgspec.structs.replace(self.record, memory=dict(decision.memory), decisions=record.decisions + 1)

@@ -14,12 +14,14 @@ from typing import Final, get_args
 from flora_common.controller_file import SUFFIX, LoadedController, load_controller, parse_controller
 from flora_common.errors import BadController, ConfigError, StoreError
 from flora_common.files import sha256_of_bytes, write_bytes
+from flora_common.light_plan import SUFFIX as LIGHTS_SUFFIX
+from flora_common.light_plan import read_light_plan
 from flora_common.shapes import Obstacle, Target
 from flora_common.suggest import did_you_mean
 from flora_controller.acceptance import Acceptance
 from flora_controller.core import BuiltIn, ControllerSection
 from flora_controller.evolved import Evolved
-from flora_controller.steering import Dark, OpenLoop, Steering, TipFollower, Waypoint
+from flora_controller.steering import Dark, OpenLoop, Planned, Steering, TipFollower, Waypoint
 
 BUILT_IN: Final[tuple[str, ...]] = get_args(BuiltIn)
 
@@ -27,20 +29,24 @@ _Stamp = tuple[int, int, int, int, int]
 
 
 def check_name(use: str) -> None:
-    """Whether a rule that is no file is built in; ConfigError where it is not."""
-    if use not in BUILT_IN:
+    """Whether a rule that is no controller file is built in, or a light plan; ConfigError where it is neither."""
+    if use.endswith(LIGHTS_SUFFIX):
+        read_light_plan(Path(use))
+    elif use not in BUILT_IN:
         raise ConfigError(
             f"[controller] use: no built-in controller `{use[:60]}`{did_you_mean(use, BUILT_IN)} "
-            f"(a file's name ends in {SUFFIX})"
+            f"(a file's name ends in {SUFFIX} or {LIGHTS_SUFFIX})"
         )
 
 
 def built_in(section: ControllerSection, target: Target | None, obstacle: Obstacle | None) -> Steering:
-    """The rule of a built-in name.
+    """The rule of a built-in name, or of a light plan.
 
     Raises:
-        ConfigError: no such name, or the run lacks what the rule steers by.
+        BadInput: no such name, the run lacks what the rule steers by, or a plan that cannot be read.
     """
+    if section.use.endswith(LIGHTS_SUFFIX):
+        return Planned(read_light_plan(Path(section.use)))
     check_name(section.use)
     if section.use == "open-loop":
         return OpenLoop(section.open_loop)

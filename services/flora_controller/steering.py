@@ -16,7 +16,8 @@ import numpy as np
 
 from flora_common.arrays import FloatArray
 from flora_common.geometry import clearance_cm, polyline_length
-from flora_common.open_loop import OTHER, OpenLoopSection, Side, open_loop_side
+from flora_common.light_plan import ReadPlan
+from flora_common.open_loop import HOUR_S, OTHER, OpenLoopSection, Side, open_loop_side
 from flora_common.runs import Light
 from flora_common.shapes import Obstacle, Target
 from flora_common.stem_range import StemRange
@@ -73,12 +74,14 @@ class Decision:
         output: a network's own output; 0 for left and 1 for right elsewhere.
         reason: one clause for people.
         memory: to be handed in next time.
+        over: why the run is over, in a clause; empty while it is not.
     """
 
     light: Light | None
     output: float = 0.0
     reason: str = ""
     memory: Memory = field(default_factory=dict)
+    over: str = ""
 
 
 class Steering(Protocol):
@@ -123,6 +126,28 @@ class OpenLoop:
     def decide(self, view: View, memory: Memory) -> Decision:
         side = open_loop_side(view.time_s, self.section)
         return _towards(side, f"schedule: every {self.section.hours:g} h in turn")
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Light by a plan, by time alone; at its end the run is over, and the plan's light goes on."""
+
+    read: ReadPlan
+    needs_stem: bool = False
+    stem_range: StemRange | None = None
+
+    @property
+    def name(self) -> str:
+        return self.read.name
+
+    @property
+    def sha256(self) -> str:
+        return self.read.sha256
+
+    def decide(self, view: View, memory: Memory) -> Decision:
+        light, hours = self.read.light_at(max(0.0, view.time_s)), self.read.plan.hours
+        over = f"the light plan's {hours:g} h have passed" if view.time_s >= hours * HOUR_S else ""
+        return Decision(light, float(light == "right"), f"light plan: {light}", over=over)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,11 +19,12 @@ from flora_common import files
 from flora_common.config import load_config
 from flora_common.counted import counted
 from flora_common.errors import BadInput
+from flora_common.light_schedule import parse_schedule
 from flora_common.outputs import can_be_made, check_file, is_picture, is_track, must_be_new
 from flora_common.runs import LIGHTS, RunFolder, track_text
 from flora_common.suggest import did_you_mean
 from flora_twin import faults as menu
-from flora_twin.grow import grow, parse_schedule
+from flora_twin.grow import grow
 from flora_twin.photographed_folder import write_runs
 from flora_twin.photographs import EXPOSURE_US, STRIPS, photographs_in
 from flora_twin.runs import CLOSED_LOOP, HOURS, OPEN_LOOP, SMALLEST_PIXEL_CM, PlannedRun, dataset_runs, planned_runs

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -11,55 +10,15 @@ import numpy as np
 from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
 from flora_common.geometry import resample_by_height
-from flora_common.runs import LEVELS, LIGHTS, Light
+from flora_common.light_schedule import MOST_HOURS, LightSchedule, parse_schedule
+from flora_common.runs import LEVELS, Light
 from flora_common.shapes import STEM_POINTS
-from flora_common.suggest import did_you_mean
 from flora_common.tracks import Track
 from flora_twin.box import CAMERA
 from flora_twin.parameters import PlantParameters
 from flora_twin.plant import STEP_S, Plants
 
-LightSchedule = Callable[[float], Light]
-"""The lamp that shines from a time on, in seconds since the start."""
-
-
 FRAME_S: Final = 300.0
-_MAX_HOURS: Final = 24.0 * 60
-
-
-def parse_schedule(text: str) -> LightSchedule:
-    """A light schedule from text.
-
-    ``6h`` alternates left and right, six hours each, left first (the open loop of Wahby et al. 2018). ``right`` shines
-    for ever. ``right 37h, left`` is a list: each light for its hours, the last one for ever.
-
-    Raises:
-        BadInput: none of these.
-    """
-    alternate = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*h\s*", text)
-    if alternate:
-        hours = float(alternate.group(1))
-        if not 0.01 <= hours <= _MAX_HOURS:
-            raise BadInput(f"schedule `{text}`: alternate every 0.01 to {_MAX_HOURS:g} h")
-        return lambda time_s: "left" if int(time_s // (hours * 3600.0)) % 2 == 0 else "right"
-    ends: list[float] = []
-    lights: list[Light] = []
-    end = 0.0
-    entries = text.split(",")
-    for number, entry in enumerate(entries, start=1):
-        match = re.fullmatch(r"\s*([a-z]+)(?:\s+(\d+(?:\.\d+)?)\s*h)?\s*", entry)
-        if match is None or (match.group(2) is None and number < len(entries)):
-            raise BadInput(
-                f"schedule `{text}`: entry {number} must read like `left 6h`, the last like `left`; or `6h` alone"
-            )
-        name = match.group(1)
-        found = next((light for light in LIGHTS if light == name), None)
-        if found is None:
-            raise BadInput(f"schedule `{text}`: no light `{name}`{did_you_mean(name, LIGHTS)}")
-        end = end + float(match.group(2)) * 3600.0 if match.group(2) else float("inf")
-        ends.append(end)
-        lights.append(found)
-    return lambda time_s: lights[min(int(np.searchsorted(ends, time_s, side="right")), len(lights) - 1)]
 
 
 def stem_points_cm(centreline_cm: FloatArray) -> FloatArray:
@@ -82,7 +41,7 @@ def grow_many(
 
     Args:
         seeds: one per plant.
-        light_schedule: from time to light, or text for :func:`parse_schedule`.
+        light_schedule: from time to light, or text for :func:`flora_common.light_schedule.parse_schedule`.
         hours: length of the run.
         parameters: constants per plant; drawn from the seeds where missing.
         every_s: seconds between rows of the track; a multiple of the step of 100 s.
@@ -93,8 +52,8 @@ def grow_many(
     Raises:
         BadInput: hours or ``every_s`` out of range, or a schedule that cannot be read.
     """
-    if not 0.0 < hours <= _MAX_HOURS:
-        raise BadInput(f"hours is {hours:g}; it must lie in (0, {_MAX_HOURS:g}]")
+    if not 0.0 < hours <= MOST_HOURS:
+        raise BadInput(f"hours is {hours:g}; it must lie in (0, {MOST_HOURS:g}]")
     per_row = round(every_s / STEP_S)
     if per_row < 1 or abs(per_row * STEP_S - every_s) > 1e-6:
         raise BadInput(f"every_s is {every_s:g}; it must be a multiple of {STEP_S:g} s")

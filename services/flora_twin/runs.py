@@ -18,10 +18,11 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import FloatArray
+from flora_common.light_schedule import parse_schedule
 from flora_common.runs import LEVELS, Light, RunFile, TargetSection, run_file_text, track_text
 from flora_common.tracks import Track
 from flora_twin.box import camera_section
-from flora_twin.grow import FRAME_S, parse_schedule, stem_points_cm
+from flora_twin.grow import FRAME_S, stem_points_cm
 from flora_twin.plant import STEP_S, Plants
 
 OPEN_LOOP: Final = 6
@@ -113,7 +114,7 @@ def random_schedule(individual: int, hours: float) -> str:
         hours: how far the schedule goes at least; its last lamp stays on.
 
     Returns:
-        Text for :func:`flora_twin.grow.parse_schedule`, to the second.
+        Text for :func:`flora_common.light_schedule.parse_schedule`, to the second.
     """
     draw = np.random.default_rng([individual, 5])
     lamps = ["left", "right"] if draw.integers(2) == 0 else ["right", "left"]

@@ -213,6 +213,56 @@ def test_the_check_of_a_configuration_says_what_a_start_would(
     assert not (bus.folder / "state").exists()
 
 
+def test_a_light_plan_shines_by_the_clock_and_says_when_the_run_is_over(bus: PrivateBus) -> None:
+    plan = bus.folder / "dusk.lights.toml"
+    plan.write_text('schedule = "right 2h, dark 1h, both"\nhours = 4.0\n')
+    bus.sections["controller"] = {"use": str(plan)}
+    client = start(bus)
+
+    shone = []
+    for tick, hours in enumerate((0.0, 1.9, 2.0, 3.0, 4.0, 5.0), start=1):
+        client.publish(Stem(tick=tick, time_s=hours * 3600.0, outcome="no_frame"))
+        light, told = answer(bus, client, tick)
+        shone.append((light.light, light.blind, told.run_over))
+
+    assert shone == [
+        ("right", False, False),
+        ("right", False, False),
+        ("dark", False, False),
+        ("both", False, False),
+        ("both", False, True),
+        ("both", False, True),
+    ]
+    assert (told.controller, "the light plan's 4 h have passed" in told.reason) == ("dusk", True)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('schedule = "lefft 6h, right"\nhours = 4.0\n', "no light `lefft`; did you mean `left`?"),
+        ('schedule = "6h"\n', "hours"),
+        ('schedule = "6h"\nhours = 0.0\n', "hours"),
+        ('shedule = "6h"\nhours = 4.0\n', "schedule"),
+        (None, "cannot be read (No such file or directory)"),
+    ],
+)
+def test_a_light_plan_that_cannot_be_followed_is_told_in_one_line(
+    bus: PrivateBus, capsys: pytest.CaptureFixture[str], text: str | None, said: str
+) -> None:
+    plan = bus.folder / "bad.lights.toml"
+    if text is not None:
+        plan.write_text(text)
+    bus.sections["controller"] = {"use": str(plan)}
+
+    assert main(["--config", str(bus.config), "--check-config"]) == 2
+    assert main(["check", str(plan)]) == 2
+
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert error.count("\n") == 2
+    assert all(str(plan) in line and said in line for line in error.splitlines())
+
+
 def test_the_open_loop_runs_without_a_run_folder(bus: PrivateBus) -> None:
     client = start(bus)
 

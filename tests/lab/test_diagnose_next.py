@@ -14,11 +14,11 @@ from diagnose_runs import LAW, STEP_S, change_of, known, run_of, scenes_of, turn
 from discovery.worlds.case import draw_case
 from discovery.worlds.writing import write_case
 from flora_common.arrays import Array
-from flora_common.errors import BadInput
-from flora_common.open_loop import open_loop_side
+from flora_common.light_schedule import parse_schedule
 from flora_common.runs import LEVELS
-from flora_common.toml_strict import convert, read_toml
 from flora_controller.core import ControllerSection
+from flora_controller.source import built_in
+from flora_controller.steering import View
 from flora_lab.diagnose import chance
 from flora_lab.diagnose import next_experiment as next_experiment_module
 from flora_lab.diagnose.courses import COURSES
@@ -42,7 +42,7 @@ from flora_lab.diagnose.next_experiment import (
     typical,
 )
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.schedules import CHOICE, Schedule, controller_config, write_experiment
+from flora_lab.diagnose.schedules import CHOICE, Schedule, write_experiment
 from flora_lab.diagnose.schedules import turns as turns_of
 from flora_lab.diagnose.search import best_start
 from flora_lab.diagnose.unnamed import Unnamed
@@ -50,7 +50,6 @@ from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import load_run
 from flora_lab.simulator.measured import in_steps
-from flora_twin.grow import parse_schedule
 
 STEPS_H = STEP_S / 3600.0
 
@@ -66,22 +65,28 @@ def test_the_twin_reads_a_schedule_as_it_is_meant(schedule: Schedule) -> None:
     assert np.array_equal(levels, np.array(told))
 
 
-def test_a_rig_shines_by_the_experiment_that_is_written(tmp_path: Path) -> None:
-    path, schedule = tmp_path / "experiment.toml", turns_of(24.0)
-    write_experiment(path, schedule, hours=72.0, why="First sentence.\nSecond sentence.")
-    section = convert(read_toml(path, BadInput)["controller"], ControllerSection, where="[controller]", error=BadInput)
-    assert section.use == "open-loop"
-    shone = [LEVELS[open_loop_side((k + 0.5) * STEP_S, section.open_loop)] for k in range(864)]
-    assert np.array_equal(schedule.levels(864, STEPS_H), np.array(shone))
-    assert path.read_text().startswith("# First sentence.\n# Second sentence.\n# A run of 72 h.")
+@pytest.mark.parametrize("schedule", CHOICE, ids=lambda schedule: schedule.name)
+def test_a_rig_shines_by_the_experiment_that_is_written(tmp_path: Path, schedule: Schedule) -> None:
+    path = tmp_path / "experiment.lights.toml"
+    write_experiment(path, schedule.text_of(72.0), hours=72.0, why="First sentence.\nSecond sentence.")
+    rule = built_in(ControllerSection(use=str(path)), None, None)
+    decided = [rule.decide(View((k + 0.5) * STEP_S, None, None), {}) for k in range(865)]
+    assert np.array_equal(
+        schedule.levels(864, STEPS_H), np.array([LEVELS[one.light or "both"] for one in decided[:-1]])
+    )
+    assert [bool(one.over) for one in decided] == [False] * 864 + [True]
+    assert path.read_text().startswith("# First sentence.\n# Second sentence.\n# On a rig:")
 
 
-def test_lists_are_not_for_an_open_loop_of_equal_turns() -> None:
-    lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
-    assert [schedule.name for schedule in lists] == ["random turns", "dark after each lamp"]
-    for schedule in lists:
-        with pytest.raises(ValueError, match="equal turns"):
-            controller_config(schedule)
+def test_what_comes_after_a_run_is_not_in_its_plan() -> None:
+    by_name = {schedule.name: schedule for schedule in CHOICE}
+    dark = by_name["dark after each lamp"]
+    assert [dark.text_of(hours) for hours in (6.0, 6.1, 24.0)] == [
+        "left",
+        "left 6h, dark",
+        "left 6h, dark 6h, right 6h, dark",
+    ]
+    assert by_name["6 h"].text_of(1.0) == "6h"
 
 
 def test_a_planned_run_is_like_those_that_were_made() -> None:
@@ -185,12 +190,11 @@ def test_the_schedule_is_one_that_a_rig_can_run_and_parts_the_causes_most() -> N
         scenes, base, explanation_of(scenes, base, {"gravitropism": 12.0, "proprioception": 8.0, "camera_roll": 5.0})
     )
     row = asked.map["gravitropism / proprioception"]
-    by_text = {schedule.text: schedule for schedule in CHOICE}
+    by_text = {schedule.text_of(24.0): schedule for schedule in CHOICE}
     chosen = by_text[asked.light_schedule]
-    assert chosen.turns_h is not None
-    assert row[chosen.name] == max(row[schedule.name] for schedule in CHOICE if schedule.turns_h is not None)
+    assert row[chosen.name] == max(row.values())
     assert asked.separates == ["gravitropism", "proprioception"]  # camera_roll lies farther behind than is close
-    assert f"A run of 24 h with turns of {chosen.name}" in asked.why  # as long as these are
+    assert f"A run of 24 h with {chosen.words} is expected" in asked.why  # as long as these are
     assert asked.hours == 24.0
     assert asked.picture == ""
 

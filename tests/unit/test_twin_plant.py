@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from flora_common.errors import BadInput
-from flora_twin.grow import grow, grow_many, parse_schedule
+from flora_common.light_schedule import parse_schedule
+from flora_twin.grow import grow, grow_many
 from flora_twin.parameters import NAMES, SPREAD, PlantParameters, draw_individual
 from flora_twin.plant import LONG_SEGMENT_CM, STEP_S, Plants
 

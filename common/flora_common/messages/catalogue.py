@@ -164,7 +164,9 @@ class ControllerState(Message, kw_only=True, frozen=True):
     blind_ticks: Annotated[Count, Meta(description="ticks in a row without a stem")] = 0
     decisions: Count = 0
     switches: Annotated[Count, Meta(description="changes of lamp so far")] = 0
-    run_over: Annotated[bool, Meta(description="a stop rule holds: height reached, or obstacle touched")] = False
+    run_over: Annotated[
+        bool, Meta(description="a stop rule holds: height reached, obstacle touched, or a light plan at its end")
+    ] = False
     reason: Annotated[
         Sentence, Meta(description="the stop rule, why a controller file was refused, why one was returned from")
     ] = ""

@@ -6,7 +6,7 @@ pictures/             the pictures in it
 base.simulator        what was learned from --reference; give it as --simulator the next time
 extended.simulator    the same with what was found in plants
 corrected/*.csv       tracks without what was found in the record of them
-next-experiment.toml  the light that would tell what these runs cannot
+next-experiment.lights.toml  the light that would tell what these runs cannot
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Final
 import msgspec
 
 from flora_common import files
+from flora_common.light_plan import SUFFIX as LIGHTS_SUFFIX
 from flora_lab.diagnose import (
     corrected_tracks,
     figures,
@@ -28,7 +29,7 @@ from flora_lab.diagnose import (
 )
 from flora_lab.diagnose.film import film
 from flora_lab.diagnose.page import page
-from flora_lab.diagnose.schedules import CHOICE, write_experiment
+from flora_lab.diagnose.schedules import write_experiment
 from flora_lab.diagnose.work import Result
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator
@@ -40,7 +41,7 @@ PAGE_FILE: Final = "report.html"
 PICTURES: Final = "pictures"
 BASE: Final = "base.simulator"
 EXTENDED: Final = "extended.simulator"
-EXPERIMENT: Final = "next-experiment.toml"
+EXPERIMENT: Final = f"next-experiment{LIGHTS_SUFFIX}"
 
 
 def write(path: Path, result: Result) -> None:
@@ -80,9 +81,8 @@ def _write_found(folder: Path, result: Result) -> None:
         stored_base.write_known(folder / EXTENDED, result.extended, start.known, provenance)
     corrected_tracks.write(folder / corrected_tracks.FOLDER, result.runs, result.explanation.found)
     asked = result.diagnosis.next_experiment
-    chosen = next((s for s in CHOICE if s.text == asked.light_schedule and s.turns_h is not None), None)
-    if chosen is not None:
-        write_experiment(folder / EXPERIMENT, chosen, hours=asked.hours, why=asked.why)
+    if asked.light_schedule:
+        write_experiment(folder / EXPERIMENT, asked.light_schedule, hours=asked.hours, why=asked.why)
 
 
 def _write_corrected(path: Path, result: Result) -> None:

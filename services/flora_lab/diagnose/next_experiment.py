@@ -39,8 +39,6 @@ MOST: Final = 4
 """Causes that are compared, at most: maps of more are not read."""
 TOLD_NATS: Final = 1.0
 """A run that is expected to tell less than this does not tell two causes apart."""
-MUCH_NATS: Final = 2.0
-"""By so much a schedule must be better than another one to be worth a word."""
 NOTHING: Final = "nothing"
 NOTHING_TOLD: Final = "nothing at all"
 """How that is called where a person reads it."""
@@ -113,7 +111,7 @@ def next_experiment(
     ]
     first = without + [other.name for other in by_light]
     return NextExperiment(
-        light_schedule="" if chosen is None else chosen.text,
+        light_schedule="" if chosen is None else chosen.text_of(hours),
         hours=0.0 if chosen is None else hours,
         separates=[best.name, *(other.name for other in (by_light or others))],
         why=" ".join(said),
@@ -253,14 +251,14 @@ def lost(run: Ready, base: Base, told: Array, other: Candidate) -> float:
 
 
 def _chosen(by_light: Sequence[Candidate], asked: Mapping[str, Mapping[str, float]]) -> Schedule | None:
-    """The equal turns after which the least is expected to be left of the other causes' probability."""
+    """The schedule after which the least is expected to be left of the other causes' probability."""
     if not by_light:
         return None
 
     def left(schedule: Schedule) -> float:
         return float(sum(np.exp(-other.behind - asked[other.name][schedule.name]) for other in by_light))
 
-    return min((schedule for schedule in CHOICE if schedule.turns_h is not None), key=left)
+    return min(CHOICE, key=left)
 
 
 def _why_light(
@@ -271,17 +269,8 @@ def _why_light(
         row = asked[other.name]
         usual = "" if chosen.name == DEFAULT else f"; turns of {DEFAULT} would tell {row[DEFAULT]:.1f}"
         said.append(
-            f"A run of {hours:g} h with turns of {chosen.name} is expected to tell {_called(best)} from "
+            f"A run of {hours:g} h with {chosen.words} is expected to tell {_called(best)} from "
             f"{_called(other.name)} by {row[chosen.name]:.1f} nats{usual}."
-        )
-    lists = [schedule for schedule in CHOICE if schedule.turns_h is None]
-    weakest = min(by_light, key=lambda other: asked[other.name][chosen.name])
-    better = max(lists, key=lambda schedule: asked[weakest.name][schedule.name])
-    gained = asked[weakest.name][better.name] - asked[weakest.name][chosen.name]
-    if gained > MUCH_NATS:
-        said.append(
-            f"Better still, but not within a rig's open loop of equal turns: {better.name}, "
-            f"{asked[weakest.name][better.name]:.1f} nats between {_called(best)} and {weakest.name}."
         )
     return said
 

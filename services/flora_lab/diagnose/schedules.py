@@ -1,23 +1,21 @@
 """Light schedules that a rig can run, to choose the next experiment from.
 
-Turns of equal length are what ``flora-controller`` shines by in its open loop; its configuration is written here. Lists
-of lamps and hours are read by ``flora-twin``; a rig needs a hand, or a timer, for them.
+Each is written as a light plan, by which ``flora-controller`` steers; ``flora-twin grow`` reads the same text.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_common.files import write_bytes
-from flora_common.open_loop import OTHER, OpenLoopSection, Side
+from flora_common.light_plan import LightPlan, write_light_plan
+from flora_common.open_loop import OTHER, Side
 from flora_common.runs import LEVELS, Light
-from flora_common.toml_strict import to_toml
 
 DEFAULT: Final = "6 h"
 """What runs have as long as nobody asks for another one."""
@@ -43,10 +41,23 @@ class Schedule:
 
     @property
     def text(self) -> str:
-        """As ``flora-twin`` reads it; see :func:`flora_twin.grow.parse_schedule`."""
+        """As a light plan says it; see :func:`flora_common.light_schedule.parse_schedule`."""
         if self.turns_h is not None:
             return f"{self.turns_h:g}h"
-        return ", ".join(f"{light} {hours:g}h" for light, hours in self.phases)
+        return _listed(self.phases)
+
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        return self.name if self.turns_h is None else f"turns of {self.name}"
+
+    def text_of(self, hours: float) -> str:
+        """:attr:`text` of a run of so many hours: what comes later is left out, and its last light stays on."""
+        if self.turns_h is not None:
+            return self.text
+        begins = np.cumsum([0.0, *(length for _, length in self.phases)])
+        shines = self.phases[: int(np.searchsorted(begins, hours))]
+        return ", ".join(filter(None, (_listed(shines[:-1]), shines[-1][0])))
 
     def levels(self, steps: int, step_h: float) -> Array:
         """Levels of the left and right lamp in each step, shape (steps, 2)."""
@@ -56,6 +67,10 @@ class Schedule:
             at = at % ends[-1]
         phase = np.minimum(np.searchsorted(ends, at, side="right"), len(ends) - 1)
         return np.array([LEVELS[light] for light, _ in self.phases])[phase]
+
+
+def _listed(phases: Sequence[tuple[Light, float]]) -> str:
+    return ", ".join(f"{light} {hours:g}h" for light, hours in phases)
 
 
 def turns(hours: float) -> Schedule:
@@ -85,39 +100,18 @@ CHOICE: Final = (turns(6.0), turns(1.5), turns(24.0), turns(36.0), _random_turns
 """Schedules that are compared; the first is what runs have by default."""
 
 
-class _Controller(msgspec.Struct, frozen=True):
-    use: str
-    open_loop: OpenLoopSection
-
-
-class _Config(msgspec.Struct, frozen=True):
-    controller: _Controller
-
-
-def controller_config(schedule: Schedule) -> str:
-    """The part of ``flora.toml`` that lets ``flora-controller`` shine by a schedule.
-
-    Raises:
-        ValueError: no equal turns.
-    """
-    if schedule.turns_h is None:
-        raise ValueError(f"`{schedule.name}` is no schedule of equal turns")
-    return to_toml(_Config(_Controller("open-loop", OpenLoopSection(schedule.turns_h, "left"))))
-
-
-def write_experiment(path: Path, schedule: Schedule, *, hours: float, why: str) -> None:
-    """Write an experiment as a file: what to put into a rig's ``flora.toml``, and why.
+def write_experiment(path: Path, schedule: str, *, hours: float, why: str) -> None:
+    """Write an experiment as a light plan, and why.
 
     Args:
         path: of the file, written whole or not at all.
-        schedule: of equal turns.
+        schedule: of the lamps, as a light plan says it.
         hours: how long the run is to last.
         why: sentences, written above as remarks.
     """
     remarks = [
         *why.splitlines(),
-        f"A run of {hours:g} h. Put this into the rig's flora.toml in place of its [controller], and start a new run.",
-        f'With a virtual plant: flora-twin grow --schedule "{schedule.text}" --hours {hours:g}',
+        "On a rig: copy this file to it, put its path into flora.toml as `use` of [controller], and start a new run.",
+        f'With a virtual plant: flora-twin grow --schedule "{schedule}" --hours {hours:g}',
     ]
-    text = "".join(f"# {line}\n" for line in remarks) + "\n" + controller_config(schedule)
-    write_bytes(path, text.encode())
+    write_light_plan(path, LightPlan(schedule, hours), remarks)

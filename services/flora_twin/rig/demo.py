@@ -32,7 +32,10 @@ def demo(
     ] = "lockstep",
     hours: Annotated[float, typer.Option(min=0.1, max=2000.0, help="Length of the run.")] = RUN_HOURS,
     controller: Annotated[
-        str, typer.Option(help="evolved (signed, shipped with flora), a built-in one, or a .controller.json file.")
+        str,
+        typer.Option(
+            help="evolved (signed, shipped with flora), a built-in one, or a .controller.json or .lights.toml file."
+        ),
     ] = EVOLVED,
     keys: Annotated[
         Path | None,
@@ -85,7 +88,7 @@ def _named(controller: str) -> str:
     Raises:
         BadInput: it is not there. Nobody must learn that after the run before has been removed.
     """
-    if not controller.endswith(".json"):
+    if not controller.endswith((".json", ".toml")):
         return controller
     path = Path(controller).resolve()
     if not path.is_file():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .kernel import CLOSED_LOOP
-from .scene import HOUR_S, ROW_S
+from .scene import HOUR_S, LIGHT_CODES, ROW_S
 
 SPARE_H = 4.0
 """Schedules go on after the run, so that a clock that is ahead still finds a lamp."""
@@ -17,13 +17,16 @@ def draw_schedule(rng: np.random.Generator, kind: str, hours: float) -> np.ndarr
 
     Args:
         rng: where chance comes from; the first lamp is drawn too.
-        kind: one of :data:`OPEN_LOOPS`, ``closed_loop``, or turns of equal hours, such as ``24h``.
+        kind: one of :data:`OPEN_LOOPS`, ``closed_loop``, turns of equal hours, such as ``24h``, or a list that leaves
+            nothing to chance, such as ``left 6h, dark 6h, right``, the last one for ever.
         hours: of the run.
     """
     rows = round((hours + SPARE_H) * HOUR_S / ROW_S)
     if kind == "closed_loop":
         return np.full(rows, CLOSED_LOOP, dtype=np.int64)
     side = int(rng.integers(2))
+    if kind.startswith(LIGHT_CODES):
+        return _listed(kind, rows)
     codes = np.empty(rows, dtype=np.int64)
     at = 0
     while at < rows:
@@ -38,4 +41,15 @@ def draw_schedule(rng: np.random.Generator, kind: str, hours: float) -> np.ndarr
         upto = at + max(1, round(dwell_h * HOUR_S / ROW_S))
         codes[at:upto] = side
         at, side = upto, 1 - side
+    return codes
+
+
+def _listed(text: str, rows: int) -> np.ndarray:
+    codes, at = np.empty(rows, dtype=np.int64), 0
+    for entry in text.split(","):
+        light, _, length = entry.strip().partition(" ")
+        upto = at + round(float(length.removesuffix("h")) * HOUR_S / ROW_S) if length else rows
+        codes[at:upto] = LIGHT_CODES.index(light)
+        at = upto
+    codes[at:] = codes[at - 1]
     return codes
