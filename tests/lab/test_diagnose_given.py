@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NoReturn
 
+import numpy as np
 import pytest
 from diagnose_runs import run_of, write_run
-from evolve_simulators import extended, learned, paper
+from evolve_simulators import extended, learned, mechanistic, paper
 
+from flora_common.errors import BadInput
 from flora_lab.diagnose import work
+from flora_lab.diagnose.inputs import Runs
 from flora_lab.main import main
 from flora_lab.simulator.corrected import CorrectedSimulator
 from flora_lab.simulator.paper import PaperSimulator
-from flora_lab.simulator.store import Provenance, write_simulator
+from flora_lab.simulator.store import Extension, Provenance, read_stored, write_simulator
 
 
 @pytest.fixture(scope="module")
@@ -51,28 +55,38 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     return line
 
 
-@pytest.mark.parametrize(
-    ("simulator", "said"),
-    [
-        (paper(), "its plants are all alike, so nobody knows what of a run is chance; add --reference"),
-        (
-            CorrectedSimulator(learned(), extended()),
-            "was corrected, which a diagnosis cannot start from; give the learned",
-        ),
-    ],
-    ids=["paper", "corrected"],
-)
+@pytest.mark.parametrize("simulator", [paper(), CorrectedSimulator(paper(), extended())], ids=["paper", "corrected"])
 def test_a_simulator_that_needs_a_reference_beside_it_is_told_why(
-    runs: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    simulator: PaperSimulator | CorrectedSimulator,
-    said: str,
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], simulator: PaperSimulator | CorrectedSimulator
 ) -> None:
     path = written(tmp_path / "some.simulator", simulator)
     line = refused(capsys, runs / "measured" / "plant10.csv", "--simulator", path, "-o", tmp_path / "out")
     assert line.startswith(f"flora-lab: {path}: ")
-    assert said in line
+    assert "its plants are all alike, so nobody knows what of a run is chance; add --reference" in line
+
+
+def test_a_corrected_simulator_of_plants_that_differ_is_started_from(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is taken to be right in its own plants, and what is found besides is put beside it, too."""
+    known: list[Runs] = []
+
+    def learn(told: Runs, words: str, _: object) -> NoReturn:
+        known.append(told)
+        raise BadInput(words)
+
+    monkeypatch.setattr(work, "learned_base", learn)
+    simulator = CorrectedSimulator(learned(), extended())
+    path = written(tmp_path / "some.simulator", simulator)
+    assert main(["diagnose", str(runs / "measured" / "plant10.csv"), "--simulator", str(path), "-o", "out"]) == 2
+    ends_cm = np.array([run.points_cm[-1, -1] for run in known[0].measured])
+    assert len(np.unique(ends_cm[:, 0])) == len(ends_cm)
+    start = work.Start(mechanistic(), None, None, Provenance("t", 0, "t"), "", is_new=True, judged=read_stored(path))
+    further = Extension("growth_rate", {"factor": 1.2})
+    again = work.corrected_by(start, [further], None)
+    assert isinstance(again, CorrectedSimulator)
+    assert again.learned.kind == simulator.learned.kind
+    assert again.extensions == (*simulator.extensions, further)
 
 
 @pytest.mark.parametrize(

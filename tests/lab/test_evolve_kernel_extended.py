@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from evolve_genomes import INPUTS, genome_config, random_genomes
 from evolve_reference import controller_of, run_episodes, same
-from evolve_simulators import extended, learned, mechanistic
+from evolve_simulators import extended, mechanistic
 from neat.nn import FeedForwardNetwork
 
-from flora_common.errors import BadInput
 from flora_lab.evolve.controllers import FromFile
 from flora_lab.evolve.episode import COLLISION
 from flora_lab.evolve.evaluate import TYPICAL, evaluate
@@ -21,7 +20,6 @@ from flora_lab.evolve.plants_extended import ExtendedPlants
 from flora_lab.evolve.plants_kinds import plants_of
 from flora_lab.evolve.plants_tropism import TropismPlants
 from flora_lab.evolve.task import LEFT, MIDDLE, Task
-from flora_lab.simulator.corrected import CorrectedSimulator
 from flora_lab.simulator.store import Extension
 from flora_lab.simulator.terms import NEUTRAL, ExtendedLaw
 
@@ -59,9 +57,3 @@ def test_what_only_changes_constants_takes_the_plain_plants() -> None:
     stronger = mechanistic().extended([Extension("gravitropism", {"factor": 1.5})])
     assert isinstance(plants_of(stronger, LEFT, None, 1), TropismPlants)
     assert isinstance(plants_of(extended(), LEFT, 3, 1), ExtendedPlants)
-
-
-def test_a_corrected_simulator_has_no_compiled_plants() -> None:
-    genomes = pack(random_genomes(2, 1, genome_config()), INPUTS)
-    with pytest.raises(BadInput, match="a simulator of kind `corrected` has no compiled plants; choose another one"):
-        evaluate(genomes, CorrectedSimulator(learned(), extended()), MIDDLE)

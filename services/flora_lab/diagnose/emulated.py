@@ -10,7 +10,6 @@ from flora_common.arrays import FloatArray
 from flora_common.runs import LEVELS, LampsSection
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.simulator import interface
-from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Chance, Simulator
 from flora_lab.simulator.measured import STEP_S, MeasuredRun
 
@@ -32,7 +31,7 @@ def reference_of(simulator: Simulator[Any], measured: Runs) -> Runs:
     lamps = next((run.lamps for run in measured.measured if run.lamps is not None), LampsSection())
     steps = int(HOURS * 3600.0 / STEP_S)
     light = np.stack([_light(i, steps) for i in range(COUNT)], axis=1)
-    chance = Chance(np.arange(_SEED, _SEED + COUNT)) if isinstance(simulator, GrowingSimulator) else None
+    chance = Chance(np.arange(_SEED, _SEED + COUNT)) if simulator.has_individuals else None
     stems = interface.run(simulator, simulator.start(starts, chance), light, STEP_S)
     time_s = np.arange(steps + 1, dtype=np.float64) * float(STEP_S)
     runs = []

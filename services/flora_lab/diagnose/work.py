@@ -41,7 +41,6 @@ from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, beside_a_knock, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
-from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
@@ -143,12 +142,7 @@ def start_from(
             [f"{simulator.name}, learned from {counted(known.base.runs, 'run')}", *(e.effect for e in read.extensions)]
         )
         return Start(read, known, read.usual_temperature_c, stored.info.provenance, words, is_new=False)
-    if isinstance(judged, CorrectedSimulator):
-        raise BadInput(
-            f"{simulator}: is a learned simulator that was corrected, which a diagnosis cannot start from; give the "
-            "learned one, or add --reference with a folder of healthy runs"
-        )
-    if not isinstance(judged, GrowingSimulator):
+    if not judged.has_individuals:
         raise BadInput(
             f"{simulator}: its plants are all alike, so nobody knows what of a run is chance; add --reference with a "
             "folder of healthy runs"
@@ -236,7 +230,7 @@ def diagnose(
     if extensions:
         moved = explanation.typical - start.known.base.mean
         extended = start.simulator.with_typical(moved).extended(extensions)
-    corrected = _corrected(start, extensions, mended)
+    corrected = corrected_by(start, extensions, mended)
     return Result(start, diagnosis, explanation, tables, extended_tables, extended, extensions, runs, corrected, mended)
 
 
@@ -251,10 +245,13 @@ def _mended(start: Start, faults: Sequence[NamedCause], runs: Runs, further: Run
     return mended_of(learned, faults, runs.measured, further.measured if further else ())
 
 
-def _corrected(start: Start, extensions: Sequence[Extension], mended: Mended | None) -> CorrectedSimulator | None:
+def corrected_by(start: Start, extensions: Sequence[Extension], mended: Mended | None) -> CorrectedSimulator | None:
+    """The learned simulator that was given, with what it lacks beside it; None where none was, or it lacks nothing."""
     if start.judged is None or not extensions:
         return None
     learned = mended.simulator if mended is not None else simulator_of(start.judged)
+    if isinstance(learned, CorrectedSimulator):
+        return CorrectedSimulator(learned.learned, learned.mechanistic.extended(extensions))
     if isinstance(learned, RodSimulator) or not isinstance(learned, LearnedSimulator):
         return None
     return CorrectedSimulator(learned, start.simulator.extended(extensions))

@@ -6,10 +6,16 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from flora_common.errors import BadInput
-from flora_lab.evolve import plants_extended, plants_neural, plants_paper, plants_remembering, plants_tropism
+from flora_lab.evolve import (
+    plants_corrected,
+    plants_extended,
+    plants_neural,
+    plants_paper,
+    plants_remembering,
+    plants_tropism,
+)
 from flora_lab.evolve.plants import Plants
 from flora_lab.evolve.task import Task
-from flora_lab.simulator.growing import GrowingSimulator
 from flora_lab.simulator.interface import Simulator
 
 _KINDS: Final[tuple[Callable[[Simulator[Any], Task, int | None, int], Plants | None], ...]] = (
@@ -33,8 +39,11 @@ def plants_of(simulator: Simulator[Any], task: Task, seed: int | None, rows: int
     Raises:
         BadInput: a simulator of a kind that has no compiled plants, or none but the typical one.
     """
-    if seed is not None and not isinstance(simulator, GrowingSimulator):
+    if seed is not None and not simulator.has_individuals:
         raise BadInput(f"a simulator of kind `{simulator.kind}` has no individuals; leave --individuals out")
+    corrected = plants_corrected.plants_of(simulator, task, seed, rows, plants_of)
+    if corrected is not None:
+        return corrected
     for make in _KINDS:
         plants = make(simulator, task, seed, rows)
         if plants is not None:

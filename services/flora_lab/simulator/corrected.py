@@ -34,7 +34,7 @@ _KINDS: Final[dict[str, type[LearnedSimulator]]] = {
 }
 _LEARNED, _MECHANISTIC = "learned", "mechanistic"
 """Of the two parts: begins the names of their weights, and is the name of the table of their scales."""
-_EVEN_CM: Final = 1e-6
+EVEN_CM: Final = 1e-6
 """Heights that are evenly spaced but for rounding."""
 
 
@@ -58,6 +58,10 @@ class CorrectedSimulator(Simulator[CorrectedState]):
     Args:
         learned: that lacks effects.
         extended: that has them, fitted to the same runs.
+
+    Attributes:
+        mechanistic: the latter.
+        plain: the same without the effects.
     """
 
     kind: ClassVar[str] = "corrected"
@@ -66,23 +70,28 @@ class CorrectedSimulator(Simulator[CorrectedState]):
         self.learned = learned
         self.mechanistic = extended
         self.step_s = learned.step_s
-        self._plain = extended.without_extensions()
+        self.plain = extended.without_extensions()
 
     @property
     def extensions(self) -> tuple[Extension, ...]:
         """The effects."""
         return self.mechanistic.extensions
 
+    @property
+    def has_individuals(self) -> bool:
+        """Those of the learned part: the mechanistic ones beside it are the same plant."""
+        return self.learned.has_individuals
+
     def start(self, points_cm: Array, chance: Chance | None = None, before: Array | None = None) -> CorrectedState:
         """See :meth:`Simulator.start`."""
-        plain, extended = (one.start(points_cm, chance, before) for one in (self._plain, self.mechanistic))
+        plain, extended = (one.start(points_cm, chance, before) for one in (self.plain, self.mechanistic))
         return CorrectedState(self.learned.start(points_cm, chance, before), plain, extended)
 
     def watch(self, history: History) -> CorrectedState:
         """See :meth:`Simulator.watch`; a learned simulator without individuals is shown the stems as they were."""
         traits = self.mechanistic.recognised(history)
         own = traits - self.mechanistic.added_traits
-        plain, extended = self._plain.known(history, own), self.mechanistic.known(history, traits)
+        plain, extended = self.plain.known(history, own), self.mechanistic.known(history, traits)
         if isinstance(self.learned, PaperSimulator | RememberingSimulator):
             return CorrectedState(self.learned.watch(history), plain, extended)
         without = replace(history, points_cm=history.points_cm - self._added_cm(history, own, traits))
@@ -93,7 +102,7 @@ class CorrectedSimulator(Simulator[CorrectedState]):
         """What the effects had added to each stem of a history, shape (n, batch, 10, 2)."""
         first = replace(history, points_cm=history.points_cm[:1], light=history.light[:0])
         added = np.zeros(history.points_cm.shape)
-        for simulator, individuals, sign in ((self._plain, own, -1.0), (self.mechanistic, traits, 1.0)):
+        for simulator, individuals, sign in ((self.plain, own, -1.0), (self.mechanistic, traits, 1.0)):
             state = simulator.known(first, individuals)
             added[1:] += sign * run(simulator, state, history.light, history.step_s, history.covariates)
         return added
@@ -103,14 +112,14 @@ class CorrectedSimulator(Simulator[CorrectedState]):
     ) -> tuple[CorrectedState, Array]:
         """See :meth:`Simulator.step`; steps and lights are those that the learned simulator knows."""
         learned, _ = self.learned.step(state.learned, light, dt_s, covariates)
-        plain, _ = self._plain.step(state.plain, light, dt_s, covariates)
+        plain, _ = self.plain.step(state.plain, light, dt_s, covariates)
         extended, _ = self.mechanistic.step(state.extended, light, dt_s, covariates)
         after = CorrectedState(learned, plain, extended)
         return after, self.stems_cm(after)
 
     def stems_cm(self, state: CorrectedState) -> Array:
         """See :meth:`Simulator.stems_cm`."""
-        added = self.mechanistic.stems_cm(state.extended) - self._plain.stems_cm(state.plain)
+        added = self.mechanistic.stems_cm(state.extended) - self.plain.stems_cm(state.plain)
         return np.stack([_stem(points) for points in self.learned.stems_cm(state.learned) + added])
 
     def is_beyond_data(self, state: CorrectedState) -> Array:
@@ -155,6 +164,6 @@ def _stem(points: Array) -> Array:
     """A stem as it is told: above the ground, its ten points at even heights."""
     points[:, 1] = np.maximum(points[:, 1], 0.0)
     even = np.linspace(0.0, points[-1, 1], len(points))
-    if not np.isfinite(points).all() or np.abs(points[:, 1] - even).max() <= _EVEN_CM:
+    if not np.isfinite(points).all() or np.abs(points[:, 1] - even).max() <= EVEN_CM:
         return points
     return resample_by_height(points, len(points))

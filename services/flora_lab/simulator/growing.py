@@ -91,6 +91,10 @@ class GrowingSimulator(Simulator[GrowingState]):
         self.step_s = step_s
         self._root = np.linalg.cholesky(prior.covariance)
 
+    @property
+    def has_individuals(self) -> bool:
+        return True
+
     def start(self, points_cm: Array, chance: Chance | None = None, before: Array | None = None) -> GrowingState:
         stems = standing(self.law, points_cm)
         traits = np.repeat(self.prior.mean[None], len(stems.count), axis=0)

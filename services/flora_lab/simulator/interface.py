@@ -59,6 +59,11 @@ class Simulator(ABC, Generic[StateT]):
     step_s: float
     """The step that it was made for."""
 
+    @property
+    def has_individuals(self) -> bool:
+        """Whether seeds make different plants of it."""
+        return False
+
     @abstractmethod
     def start(self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None) -> StateT:
         """Plants of which one stem is known.
