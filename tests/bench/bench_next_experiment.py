@@ -4,7 +4,7 @@
 
 Effects, drawn at random from the whole catalogue, are hidden in one run under the paper's turns of six hours. Where the
 diagnosis of that run asks for light, a second plant is measured three times over: under the same turns, under turns of
-24 hours, and under what was asked for; its constants, chance and errors are the same each time. Told is how probable
+24 hours, and under what the map favours; its constants, chance and errors are the same each time. Told is how probable
 the true cause is then, alone or with those that no light tells from it, among all causes and none.
 
 Cases of a world have the same reference runs and other plants and effects. With ``--json`` it goes on where it was, and
@@ -56,7 +56,7 @@ class Told:
     Attributes:
         seed, number: of its world, and in it.
         effect: that is hidden.
-        asked: light that the diagnosis of the first run asks for; empty where it asks for none.
+        asked: light that the map of the first run favours; empty where it asks for none.
         first: probability of the truth after one run.
         default, long, followed: the same after a second one under each light; 0 where no light is asked for.
     """
@@ -108,7 +108,7 @@ class World:
         (hidden,) = self._case(number, DEFAULT).hidden
         scenes = self._scenes(number, DEFAULT)
         explanation = Explainer(scenes, self._known).explain()
-        asked = next_experiment(scenes, self._known.base, explanation, self._known.errors).light_schedule
+        asked = next_experiment(scenes, self._known.base, explanation, self._known.errors).favours
         first = probability(explanation, hidden.name)
         if not asked:
             return Told(self._seed, number, hidden.name, "", first)
@@ -121,21 +121,22 @@ class World:
 
 def printed(found: Sequence[Told]) -> None:
     asked = [one for one in found if one.asked]
-    print(f"{len(found)} cases; light is asked for in {len(asked)}, another than turns of six hours in", end=" ")
-    print(sum(one.asked != DEFAULT for one in asked))
+    others = sum(one.asked != DEFAULT for one in asked)
+    print(f"{len(found)} cases; light is asked for in {len(asked)}; the map favours another than six hours in {others}")
     if not asked:
         return
     followed, default, long, first = (
         np.array([getattr(one, name) for one in asked]) for name in ("followed", "default", "long", "first")
     )
     print(f"of those {len(asked)}: mean probability of the truth after one run {first.mean():.2f},")
-    for name, values in (("turns of six hours again", default), ("turns of 24 hours", long), ("asked for", followed)):
+    lights = {"turns of six hours again": default, "turns of 24 hours": long, "what the map favours": followed}
+    for name, values in lights.items():
         print(f"  after one more, {name}: {values.mean():.2f}; 80 % or more in {int((values >= 0.8).sum())}")
     differs = followed != default
     if differs.any():
         p_value = scipy.stats.wilcoxon(followed[differs], default[differs], alternative="greater").pvalue
         better = int((followed > default).sum())
-        print(f"  what is asked for is better in {better}, worse in {int(differs.sum()) - better}: p = {p_value:.3f}")
+        print(f"  what it favours is better in {better}, worse in {int(differs.sum()) - better}: p = {p_value:.3f}")
 
 
 def main() -> None:

@@ -29,10 +29,12 @@ from flora_lab.diagnose.joint import Base, Found, Joint, ready
 from flora_lab.diagnose.next_experiment import (
     CLOSE_NATS,
     MOST,
+    NO_BETTER,
     NO_CAUSE_NEAR,
     NOT_IN_CATALOGUE,
     NOTHING,
     NOTHING_NEAR,
+    TOLD_NATS,
     Candidate,
     candidates_of,
     lost,
@@ -42,7 +44,7 @@ from flora_lab.diagnose.next_experiment import (
     typical,
 )
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.schedules import CHOICE, Schedule, write_experiment
+from flora_lab.diagnose.schedules import CHOICE, USUAL, Schedule, write_experiment
 from flora_lab.diagnose.schedules import turns as turns_of
 from flora_lab.diagnose.search import best_start
 from flora_lab.diagnose.unnamed import Unnamed
@@ -191,12 +193,31 @@ def test_the_schedule_is_one_that_a_rig_can_run_and_parts_the_causes_most() -> N
     )
     row = asked.map["gravitropism / proprioception"]
     by_text = {schedule.text_of(24.0): schedule for schedule in CHOICE}
-    chosen = by_text[asked.light_schedule]
-    assert row[chosen.name] == max(row.values())
+    favoured, chosen = by_text[asked.favours], by_text[asked.light_schedule]
+    assert row[favoured.name] == max(row.values())
+    assert row[USUAL.name] >= TOLD_NATS
+    assert chosen is USUAL  # which tell enough
     assert asked.separates == ["gravitropism", "proprioception"]  # camera_roll lies farther behind than is close
     assert f"A run of 24 h with {chosen.words} is expected" in asked.why  # as long as these are
     assert asked.hours == 24.0
     assert asked.picture == ""
+
+
+@pytest.mark.parametrize(("usual", "schedule"), [(0.2, "left 6h, dark 6h, right 6h, dark"), (3.0, "6h")])
+def test_other_light_is_asked_for_where_the_usual_turns_would_tell_nothing(
+    monkeypatch: pytest.MonkeyPatch, usual: float, schedule: str
+) -> None:
+    base = known().base
+    scenes = list(early("gravitropism", "factor", 2.2))
+
+    def told(*_: object, **__: object) -> dict[tuple[str, str], dict[str, float]]:
+        return {("gravitropism", "proprioception"): {one.name: usual for one in CHOICE} | {"dark after each lamp": 5.0}}
+
+    monkeypatch.setattr(next_experiment_module, "separating", told)
+    asked = next_experiment(scenes, base, explanation_of(scenes, base, {"gravitropism": 12.0, "proprioception": 8.0}))
+    assert (asked.light_schedule, asked.favours) == (schedule, "left 6h, dark 6h, right 6h, dark")
+    assert (f"By the map dark after each lamp tell 5.0 nats or more; {NO_BETTER}" in asked.why) == (usual > 1.0)
+    assert ("with dark after each lamp is expected to tell" in asked.why) == (usual < 1.0)
 
 
 def test_a_rival_of_the_record_is_settled_by_a_picture() -> None:

@@ -106,11 +106,12 @@ class NextExperiment(msgspec.Struct, frozen=True):
     """What would separate what these runs cannot.
 
     Attributes:
-        light_schedule: text that ``flora-twin`` and a rig's open loop read; empty where no light would.
+        light_schedule: text that ``flora-twin`` and a rig's light plan read; empty where no light would.
         separates: the causes.
         why: sentences.
         map: pair of causes to schedule to nats.
         picture: which calibration picture would help; empty where none.
+        favours: the light that the map takes to tell most, which need not be ``light_schedule``.
         hours: how long the run under ``light_schedule`` is to be, as the longest of these runs is; 0 where none would.
     """
 
@@ -119,6 +120,7 @@ class NextExperiment(msgspec.Struct, frozen=True):
     why: str = ""
     map: dict[str, dict[str, float]] = {}
     picture: str = ""
+    favours: str = ""
     hours: float = 0.0
 
 

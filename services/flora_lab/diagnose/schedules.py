@@ -17,8 +17,6 @@ from flora_common.light_plan import LightPlan, write_light_plan
 from flora_common.open_loop import OTHER, Side
 from flora_common.runs import LEVELS, Light
 
-DEFAULT: Final = "6 h"
-"""What runs have as long as nobody asks for another one."""
 _RANDOM_SEED: Final = 1
 _DWELL_H: Final = (0.5, 10.0)
 """Of random turns; their logarithm is drawn evenly."""
@@ -96,7 +94,9 @@ def _with_dark(hours: float) -> Schedule:
     return Schedule("dark after each lamp", round_ * int(np.ceil(_LONGEST_H / (4.0 * hours))))
 
 
-CHOICE: Final = (turns(6.0), turns(1.5), turns(24.0), turns(36.0), _random_turns(), _with_dark(6.0))
+USUAL: Final = turns(6.0)
+"""What runs have as long as nobody asks for another one."""
+CHOICE: Final = (USUAL, turns(1.5), turns(24.0), turns(36.0), _random_turns(), _with_dark(6.0))
 """Schedules that are compared; the first is what runs have by default."""
 
 
