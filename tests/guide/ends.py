@@ -81,12 +81,7 @@ def ways_in(kind: str, seed: int, folder: Path) -> Path:
 def ends_in(example: Example, rng: np.random.Generator) -> Iterator[tuple[FloatArray, float, float, float]]:
     """What is seen from the likeliest end in a plant of another size, in another light; how far off it is, cm; how
     likely it is, and an apex elsewhere."""
-    px_per_cm = PX_PER_CM * float(np.exp(rng.uniform(-LARGER, LARGER)))
-    plant = example.plant * np.float32(np.exp(rng.normal(0.0, BRIGHTER)))
-    colour = example.code.reshape(-1, 3).mean(axis=0)
-    code = (example.code - colour) * np.exp(rng.normal(0.0, PALER)) + colour
-    code += rng.normal(0.0, GRAIN * rng.uniform(), code.shape)
-    evidence = Evidence((0, 0), np.asarray(plant, np.float32), np.clip(code, 0.0, 255.0).astype(np.uint8), 1.0)
+    evidence, px_per_cm = in_another_light(example, rng)
     anchor = example.line[0].astype(np.float64)
     maps = guide.Maps(evidence, px_per_cm, anchor, guide.SEEN_CM)
     way = along_way.chosen(guide.ways(maps, anchor, px_per_cm), None, px_per_cm)
@@ -94,6 +89,17 @@ def ends_in(example: Example, rng: np.random.Generator) -> Iterator[tuple[FloatA
         off = float(np.hypot(*(way.tip_px - example.line[-1]))) / px_per_cm
         seen = maps.views(way.line_px, way.along, way.sure, way.elsewhere)
         yield seen, off, way.sure, way.elsewhere
+
+
+def in_another_light(example: Example, rng: np.random.Generator) -> tuple[Evidence, float]:
+    """A plant of another size in another light, and px per cm."""
+    px_per_cm = PX_PER_CM * float(np.exp(rng.uniform(-LARGER, LARGER)))
+    plant = example.plant * np.float32(np.exp(rng.normal(0.0, BRIGHTER)))
+    colour = example.code.reshape(-1, 3).mean(axis=0)
+    code = (example.code - colour) * np.exp(rng.normal(0.0, PALER)) + colour
+    code += rng.normal(0.0, GRAIN * rng.uniform(), code.shape)
+    shown = np.clip(code, 0.0, 255.0).astype(np.uint8)
+    return Evidence((0, 0), np.asarray(plant, np.float32), shown, 1.0), px_per_cm
 
 
 @dataclass(frozen=True, slots=True, eq=False)

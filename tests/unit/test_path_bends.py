@@ -13,6 +13,7 @@ from path_fakes import ANCHOR, CAMERA, HEIGHT, SCALE, STEM, WIDTH, drawn, tip_er
 from flora_common.arrays import FloatArray
 from flora_common.vision.lamp_states import from_background
 from flora_common.vision.path import along_way, doubts
+from flora_common.vision.path import tracker as tracker_module
 from flora_common.vision.path.chain import Before, best_chain
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.sampler import Sampler
@@ -54,13 +55,19 @@ def test_a_tight_hook_is_followed_to_its_end(radius_cm: float, turn_rad: float) 
     assert tip_error_mm(reading, line) < 5.0  # a pixel of the network's maps is 1.7 mm
 
 
-def test_an_end_that_only_rules_find_is_not_believed_unless_an_apex_was_seen_there_lately() -> None:
+def test_an_end_that_only_rules_find_is_not_believed_unless_an_apex_was_seen_there_lately(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     line, one = hooked(7.0, 0.35, 1.6), tracker()
     seen = one.look(drawn(board(1), line))
+    shown = seen
+    monkeypatch.setattr(tracker_module, "closely", lambda *_: shown.ways)
     faint = replace(seen, ways=tuple(replace(way, sure=0.05) for way in seen.ways))
+    shown = faint
     assert one.follow(faint, 0.0).outcome == OCCLUDED
     again = one.follow(replace(faint), 300.0)
     assert (again.outcome, again.reason) == (OCCLUDED, doubts.NO_APEX)
+    shown = seen
     one.memory = None
     assert one.follow(replace(seen), 0.0).outcome == OK
     assert one.follow(replace(faint), 300.0).outcome == OK

@@ -373,6 +373,18 @@ def test_what_surrounds_an_end_decides_whether_and_how_far_it_is_believed(monkey
     assert outcomes[-1] == "occluded"
 
 
+def test_what_an_end_looked_like_says_nothing_of_another_place_that_is_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    saying, one = Saying(), tracker()
+    monkeypatch.setattr(apex_error, "perceptron", lambda: saying)
+    saying.off = np.array([0.9, 0.9, 0.8, 0.7])
+    assert {r.outcome for r in read_all(one, [swaying(-2.0)] * 6)} == {"occluded"}
+    saying.off = np.zeros(len(LIMITS_CM))
+    moved = [one.follow(one.look(photograph(swaying(3.0), k)), 300.0 * k) for k in range(6, 10)]
+    assert [r.outcome for r in moved] == ["jumped", "jumped", "jumped", "ok"]
+
+
 def test_a_doubtful_start_is_believed_where_the_next_ones_are_no_clearer_and_begins_anew_where_it_is_told_to(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

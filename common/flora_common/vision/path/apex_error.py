@@ -91,12 +91,6 @@ def perceptron() -> Perceptron:
         return Perceptron(*(arrays[name].astype(np.float64) for name in ("middle", "spread", "inner", "outer")))
 
 
-def together(first: FloatArray, second: FloatArray) -> FloatArray:
-    """The chances that two looks at the same end tell, shape (limits,): the mean of their logits."""
-    odds = [np.log(v / (1.0 - v)) for v in np.clip([first, second], LEAST, 1.0 - LEAST)]
-    return np.asarray(1.0 / (1.0 + np.exp(-0.5 * (odds[0] + odds[1]))), dtype=np.float64)
-
-
 def error_cm(chances: FloatArray) -> float:
     """Root of the mean square of how far off an end with these chances is, of what is beyond the first limit."""
     between = chances - np.append(chances[1:], 0.0)

@@ -77,6 +77,11 @@ class Evidence:
             self, plant=np.ascontiguousarray(self.plant[:, ::-1]), code=np.ascontiguousarray(self.code[:, ::-1])
         )
 
+    def mirrored_px(self, places_px: FloatArray) -> FloatArray:
+        """Where places (..., 2), px of the full picture, are once it is mirrored."""
+        middle = np.array([2.0 * self.origin_px[0] + self.plant.shape[1] - 1.0, 0.0])
+        return np.asarray(middle + places_px * [-1.0, 1.0], dtype=np.float64)
+
     @property
     def least(self) -> float:
         """What has less evidence than this is noise."""

@@ -10,6 +10,7 @@ millimetre or two; edges are measured along it as along any other.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
@@ -110,6 +111,10 @@ class Maps:
         px_per_cm: scale of the full picture.
         about_px: middle of the square that is wanted, (x, y) px of the full picture.
         within_cm: half a side of that square.
+
+    Attributes:
+        logits: of both, shape (2, height, width).
+        stem, apex: how likely they are, each of shape (height, width).
     """
 
     def __init__(self, evidence: Evidence, px_per_cm: float, about_px: FloatArray, within_cm: float) -> None:
@@ -120,10 +125,32 @@ class Maps:
         seen = network_input(evidence, colour, (size[0], size[1]))
         padded = np.pad(seen, ((0, 0), *((0, -v % MULTIPLE) for v in size[::-1])), mode="edge")
         logits = network()(padded)[:, : (size[1] + 1) // 2, : (size[0] + 1) // 2]
-        self.stem, self.apex = 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+        self.logits: FloatArray = logits.astype(np.float64)
+        self.stem, self.apex = 1.0 / (1.0 + np.exp(-self.logits))
         self._seen = seen
         self._step = np.array([width / size[0], height / size[1]]) * 2.0
         self._origin = np.array(evidence.origin_px, dtype=np.float64)
+
+    def believed(self, logits: FloatArray) -> Maps:
+        """The same part of the picture with other logits."""
+        other = copy(self)
+        other.__dict__.pop("_planes", None)
+        other.logits = logits
+        other.stem, other.apex = 1.0 / (1.0 + np.exp(-logits))
+        return other
+
+    def places(self) -> FloatArray:
+        """Of all pixels, px of the full picture, shape (height, width, 2)."""
+        rows, columns = np.indices(self.stem.shape)
+        return self.to_px(np.stack([columns, rows], axis=-1))
+
+    def logits_at(self, places_px: FloatArray) -> FloatArray:
+        """Logits at places (height, width, 2) of the full picture, linear between pixels, beyond the edge as on it."""
+        at = self.from_px(places_px).astype(np.float32)
+        found = cv2.remap(
+            self.logits.transpose(1, 2, 0), at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(found, dtype=np.float64).transpose(2, 0, 1)
 
     def to_px(self, places: FloatArray) -> FloatArray:
         """Places of the maps (..., 2) in px of the full picture."""

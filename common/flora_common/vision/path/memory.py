@@ -69,6 +69,7 @@ class State:
         measured_cm: length of the stem in this picture by itself.
         followed: the apex of the picture before in this one.
         length, apex, elsewhere, sure, near, petiole, rivals: see :class:`Memory`.
+        rivals_alone: rivals as this picture by itself tells them; None where it was looked at nearby only.
     """
 
     length: LengthState
@@ -80,6 +81,7 @@ class State:
     sure: bool = True
     petiole: int = 0
     rivals: Rivals | None = None
+    rivals_alone: Rivals | None = None
 
 
 def before_of(memory: Memory | None, time_s: float) -> Before | None:
@@ -119,14 +121,14 @@ def remembered(
     """
     if memory is None and doubted:
         return None
-    astray = state.followed.is_astray(line_px[-1])
+    astray, rivals = state.followed.is_astray(line_px[-1]), state.rivals
     if memory is not None and (doubted or astray or outcome == JUMPED or seen < LEAST_SEEN):
         count = memory.doubts + 1
         if count < (ASTRAY_BELIEVED if astray else DOUBTS_BELIEVED):
             known = _as_of_now(memory, state) if astray else memory
             return msgspec.structs.replace(known, doubts=count, rivals=state.rivals)
-        # of a new place the length is known, but not what the old one's history says of it
-        belief = LengthState(state.length.time_s, state.measured_cm)
+        # of a new place the length is known, but not what the old one's history says of it; nor is that of its end
+        belief, rivals = LengthState(state.length.time_s, state.measured_cm), state.rivals_alone
     else:
         belief = state.length
     line = _points(np.concatenate([line_px[:-1:LINE_KEPT_EVERY], line_px[-1:]]))
@@ -141,7 +143,7 @@ def remembered(
         sure=state.sure,
         near=near,
         petiole=state.petiole,
-        rivals=state.rivals,
+        rivals=rivals,
         reduction=reduction,
     )
 

@@ -1,39 +1,48 @@
-"""A first picture's end looked at once more, in a mirror.
+"""A picture looked at several times, where nothing is known from pictures before: then one picture decides.
 
-Where nothing is known from pictures before, one look decides. The network sees a mirrored picture as well as any, and
-is not wrong in quite the same way, so that both together tell more. Followed plants are looked at again in every hour.
+The network sees a mirrored picture as well as any, and a larger one, and is not wrong in quite the same way: the mean
+of what it says is right more often than any of it (docs/decisions/0019). Plants that are followed are looked at once,
+and again in every hour.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from flora_common.vision.path import apex_error, guide
+from flora_common.arrays import FloatArray
+from flora_common.vision.path import guide
 from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Maps, Way
 
-SAME_APEX_CM: Final = 0.3
-"""So far from where it was in the first look the apex is looked for in the second."""
+MAGNIFIED: Final = 4.0 / 3.0
+WEIGHTS: Final = (2.0, 2.0, 1.0, 1.0)
+"""Of plain and mirrored, of both magnified: the network learnt from plants of the first two's size."""
 
 
-def confirmed(way: Way, evidence: Evidence, px_per_cm: float) -> Way:
-    """A way with the chances that it ends elsewhere, as both looks together tell them.
+def closely(evidence: Evidence, anchor_px: FloatArray, px_per_cm: float) -> tuple[Way, ...]:
+    """What :func:`.guide.everywhere` tells, by the mean of four looks: as it is, mirrored, and both magnified.
 
     Args:
-        way: that was found, from the anchor.
         evidence: of the plant.
+        anchor_px: where the stem begins, (x, y) px of the full picture.
         px_per_cm: scale.
     """
-    if way.off is None:
-        return way
-    middle = np.array([2.0 * evidence.origin_px[0] + evidence.plant.shape[1] - 1.0, 0.0])
-    line = middle + way.line_px * [-1.0, 1.0]
-    maps = Maps(evidence.mirrored(), px_per_cm, line[0], guide.SEEN_CM)
-    along = maps.stem_at(line)
-    sure = float(maps.apex[maps.nearest_peak(line[-1], SAME_APEX_CM * px_per_cm)]) * guide.weakest(along)
-    elsewhere = maps.likeliest_beyond(line[-1], guide.ELSEWHERE_CM * px_per_cm)
-    off = apex_error.perceptron().chances(maps.views(line, along, sure, elsewhere))
-    return replace(way, off=apex_error.together(way.off, off))
+    anchor = np.asarray(anchor_px, dtype=np.float64)
+    plain = Maps(evidence, px_per_cm, anchor, guide.SEEN_CM)
+    mirrored, exchanged = evidence.mirrored(), evidence.mirrored_px
+    places = plain.places()
+    there, opposite = exchanged(places), exchanged(anchor)
+    looks = (
+        plain.logits,
+        Maps(mirrored, px_per_cm, opposite, guide.SEEN_CM).logits_at(there),
+        _magnified(evidence, anchor, px_per_cm).logits_at(places),
+        _magnified(mirrored, opposite, px_per_cm).logits_at(there),
+    )
+    return guide.ways(plain.believed(np.average(looks, axis=0, weights=WEIGHTS)), anchor, px_per_cm)
+
+
+def _magnified(evidence: Evidence, anchor_px: FloatArray, px_per_cm: float) -> Maps:
+    """The maps of the same part of the picture, as if it had been taken from nearer by."""
+    return Maps(evidence, px_per_cm / MAGNIFIED, anchor_px, guide.SEEN_CM * MAGNIFIED)

@@ -34,7 +34,7 @@ from flora_common.vision.path.memory import (
 from flora_common.vision.path.reduced import reduced
 from flora_common.vision.path.rivals import after as rivals_after
 from flora_common.vision.path.sampler import Sampler
-from flora_common.vision.path.second_look import confirmed
+from flora_common.vision.path.second_look import closely
 from flora_common.vision.path.settings import PathSettings
 from flora_common.vision.path.sight import Sight
 from flora_common.vision.path.strands import plant_mask
@@ -198,6 +198,8 @@ class PathTracker:
             followed = Followed(None, evidence, time_s, scale)
         before = before_of(memory, time_s)
         before = before and replace(before, line_px=followed.drawn(before.line_px))
+        if before is None:  # this picture decides by itself
+            sight = sight.with_ways(closely(evidence, np.array(self._foot_px), scale))
         sampler = Sampler(evidence)
         past = Past(memory, before, followed, time_s)
         fit = self._fitter.found(sight, sampler, past)
@@ -213,10 +215,8 @@ class PathTracker:
                 fit = replace(fit, reached=again, tip=tip)
         belief = self._belief(fit.reached, fit.tip, time_s, is_new=self._fitter.is_further(fit, past))
         final, apex = self._ended(fit.reached, fit.tip, sampler, followed, belief)
-        ways = sight.ways
-        if before is None and fit.way is not None:
-            ways = tuple(confirmed(way, evidence, scale) if way is fit.way else way for way in ways)
-        rivals = rivals_after(memory.rivals if memory else None, ways, final.line[-1], time_s, scale)
+        alone = rivals_after(None, sight.ways, final.line[-1], time_s, scale)
+        rivals = rivals_after(memory.rivals, sight.ways, final.line[-1], time_s, scale) if memory else alone
         told = self._fitter.judged(fit, final, sight, sampler, past, rivals)
         doubt = told.doubt or self._doubt_of_start(sight, fit.chain, final)
         unsure = told.unsure
@@ -227,7 +227,7 @@ class PathTracker:
         known = memory.near if memory else None
         kept = near if told.is_clear or fit.held else nearby.since_clear(known, fit.reached, before, scale)
         length_cm = fit.reached.length / scale
-        state = State(belief, length_cm, followed, apex, kept, elsewhere, told.is_sure, told.petiole, rivals)
+        state = State(belief, length_cm, followed, apex, kept, elsewhere, told.is_sure, told.petiole, rivals, alone)
         reading, self._memory = self._told(final, state, evidence, doubt, unsure)
         return reading
 
