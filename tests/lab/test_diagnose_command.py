@@ -26,6 +26,8 @@ from html_reader import Reader
 from flora_common.geometry import turned_right
 from flora_lab.diagnose import folder, work
 from flora_lab.diagnose.diagnosis import Diagnosis
+from flora_lab.diagnose.inputs import read_runs
+from flora_lab.diagnose.work import start_from
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.main import main
 from flora_lab.run_tracks import load_run
@@ -33,6 +35,7 @@ from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.interface import run as run_freely
 from flora_lab.simulator.load import load
 from flora_lab.simulator.rod_simulator import RodSimulator
+from flora_lab.simulator.store import read_stored
 
 RESULTS: list[work.Result] = []
 """What :func:`diagnosed` came to, for tests of how it is told."""
@@ -290,16 +293,17 @@ def test_a_run_that_the_simulator_was_learned_from_is_neither_diagnosed_nor_held
     assert f"{other}: the simulator was learned from this run" in extended
 
 
-def test_a_simulator_with_a_swing_of_its_own_is_no_start(
-    diagnosed: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_simulator_with_a_swing_of_its_own_is_started_from(diagnosed: Path, runs: Path, tmp_path: Path) -> None:
     swinging = tmp_path / "swinging.simulator"
     shutil.copytree(diagnosed / "base.simulator", swinging)
     table = tomllib.loads((swinging / "simulator.toml").read_text())
     table["extension"] = [{"effect": "circumnutation", "parameters": {"period_h": 1.6, "amplitude_cm": 0.6}}]
     (swinging / "simulator.toml").write_text(tomli_w.dumps(table))
-    said = refused(capsys, *measured(runs), "--simulator", swinging, "-o", tmp_path / "out")
-    assert "was extended with circumnutation, which a diagnosis cannot start from" in said
+    given = read_runs(measured(runs), lambda _: None)
+    start = start_from(given, None, read_stored(swinging), None, lambda *_: pytest.fail("began to learn"))
+    assert start.known.swing is not None
+    assert (start.known.swing.period_h, start.known.swing.amplitude_cm) == (1.6, pytest.approx(0.6))
+    assert start.learned_from.endswith(", and extended with circumnutation")
 
 
 def test_a_simulator_that_is_damaged_is_told(

@@ -110,7 +110,8 @@ class Explainer:
         null = stages[0].before if swing is None else joint.fit(alone)
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside)
+        bare = None if self.trials.known.swing is None else self.trials.left_without_swing(stages[0].before)
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside, bare)
 
     def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether the best cause of a stage is one."""

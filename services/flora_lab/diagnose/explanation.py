@@ -83,6 +83,8 @@ class Explanation:
         joint: the runs, as they were whitened at the end.
         claim: nats that the first cause had to have, or would have had to.
         unnamed: what is at work beside the causes, or in place of any; None where nothing seems to be.
+        unswung: what is left without causes if plants did not swing by themselves, see :attr:`.joint.Found.left`; None
+            where they do not.
     """
 
     null: Found
@@ -93,6 +95,7 @@ class Explanation:
     joint: Joint
     claim: float = FIRST
     unnamed: Unnamed | None = None
+    unswung: float | None = None
 
     @property
     def typical(self) -> Array:

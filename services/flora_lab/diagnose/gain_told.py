@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+from flora_common.counted import listed
 from flora_lab import html_page
 from flora_lab.diagnose import controllers_told
 from flora_lab.diagnose.diagnosis import Gain
@@ -25,7 +26,7 @@ def where_worse(gain: Gain) -> str:
     worse = [after for after, e in groups_of(gain) if e.get("extended", 0.0) > e.get("base", math.inf)]
     if not worse:
         return ""
-    return f"After {_listed(worse)} the extended simulator is farther off than the simulator as it is."
+    return f"After {listed(worse)} the extended simulator is farther off than the simulator as it is."
 
 
 def lines(gain: Gain) -> list[str]:
@@ -63,7 +64,3 @@ def pieces(gain: Gain, pictures: Mapping[str, bytes]) -> list[str]:
 
 def _mm_or_none(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f} mm" if value < 9.995 else f"{value:.1f} mm"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -13,7 +13,7 @@ from flora_lab.diagnose import learn, rhythm, usual_errors
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready, ready
 from flora_lab.diagnose.learn import Learned
 from flora_lab.diagnose.residuals import ReferenceResiduals, reference_residuals
-from flora_lab.diagnose.rhythm import Spectrum, Swings
+from flora_lab.diagnose.rhythm import Spectrum, Swing, Swings
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.usual_errors import UsualErrors
 from flora_lab.diagnose.usual_pushes import UsualPushes, no_pushes, usual_pushes
@@ -51,6 +51,8 @@ class Knowledge:
         pushes: what has no name and healthy runs show all the same.
         cross_fit: nats for each of :data:`LOOKED_FOR` in reference runs by what the others tell, shape (folds, causes);
             no folds where they are too few. See :mod:`flora_lab.diagnose.cross_fit`.
+        swing: that plants have by themselves; it is a part of ``swings`` and ``residuals`` already, see
+            :mod:`flora_lab.diagnose.known_swing`. None where the simulator was extended by none.
     """
 
     base: Base
@@ -62,6 +64,7 @@ class Knowledge:
     law: tuple[Extension, ...] = ()
     pushes: UsualPushes = field(default_factory=no_pushes)
     cross_fit: Array = field(default_factory=lambda: np.zeros((0, len(LOOKED_FOR))))
+    swing: Swing | None = None
 
 
 def known_of(scenes: Sequence[Scene], best: Learned, law: tuple[Extension, ...]) -> Knowledge:

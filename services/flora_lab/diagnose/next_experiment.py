@@ -81,7 +81,11 @@ Separating = dict[tuple[str, str], dict[str, float]]
 
 
 def next_experiment(
-    scenes: Sequence[Scene], base: Base, explanation: Explanation, errors: UsualErrors | None = None
+    scenes: Sequence[Scene],
+    base: Base,
+    explanation: Explanation,
+    errors: UsualErrors | None = None,
+    swing: Swing | None = None,
 ) -> NextExperiment:
     """What would separate the causes that may still be.
 
@@ -90,13 +94,14 @@ def next_experiment(
         base: what is known of plants.
         explanation: of them.
         errors: what the law is wrong in; in nothing where None.
+        swing: that plants have by themselves.
     """
     candidates = candidates_of(explanation)
     if explanation.unnamed is not None and (len(candidates) < 2 or not explanation.accepted):
         return NextExperiment(why=NOT_IN_CATALOGUE)
     if len(candidates) < 2:
         return NextExperiment(why=NOTHING_NEAR if explanation.accepted else NO_CAUSE_NEAR)
-    told = separating(scenes, base, candidates, explanation.swing, errors=errors)
+    told = separating(scenes, base, candidates, explanation.swing or swing, errors=errors)
     best, others = candidates[0], candidates[1:]
     asked = {other.name: told[best.name, other.name] for other in others}
     by_light = [other for other in others if max(asked[other.name].values()) >= TOLD_NATS]

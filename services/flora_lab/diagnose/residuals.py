@@ -22,7 +22,7 @@ from flora_lab.diagnose.joint import Base, Found
 from flora_lab.diagnose.replayed import MM, PLANTS, Plant, Replayed, replayed
 from flora_lab.diagnose.residual_statistics import SIDES, mean, rms
 from flora_lab.diagnose.residual_words import Looks, description
-from flora_lab.diagnose.rhythm import amplitude_of, spectrum
+from flora_lab.diagnose.rhythm import LINES, Swing, amplitude_of, spectrum
 from flora_lab.diagnose.scene import Scene
 from flora_lab.effects.effect import Change
 
@@ -62,10 +62,12 @@ class ReferenceResiduals:
     Attributes:
         shown: what they look like. The typical plant was learned from the other runs.
         misfit: mean of the squared whitened residuals of each run's own fit, shape (runs,).
+        swing: that the simulator's plants have by themselves, a part of ``shown`` already.
     """
 
     shown: Shown
     misfit: Array
+    swing: Swing | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +92,6 @@ FINE_BINS: Final = 24
 """The times since a switch of ``by_switch_mm``: half hours, up to twelve hours."""
 SWING_PERIODS_H: Final = np.geomspace(0.75, 4.0, 200)
 """Where the amplitude of a swing is told."""
-_LINES: Final = 3
-"""Neighbouring lines of a spectrum over which a swing that does not keep its phase is spread."""
 
 
 def reference_residuals(scenes: Sequence[Scene], base: Base, fits: Sequence[Found]) -> ReferenceResiduals:
@@ -142,6 +142,9 @@ def residuals_of(
         for scene, traits, start in zip(scenes, null.traits, null.start, strict=True)
     ]
     shown = _shown(runs)
+    if reference.swing is not None:
+        for numbers in shown.numbers.values():  # how far tips swing differs from plant to plant, and is not asked
+            numbers[:, statistics.of_group("swing")] = np.nan
     known = reference.shown
     groups = [statistics.of_group(group) for group in statistics.GROUPS]
     compared = statistics.compared(
@@ -175,10 +178,10 @@ def _shown(runs: Sequence[Replayed]) -> Shown:
 def _swing_mm(run: Replayed) -> Array:
     """Amplitude of a swing that would have the power in a narrow band about each period."""
     own = spectrum(run.error_mm("own")[:, -1, 0], run.step_h)
-    if len(own.per_hour) < _LINES:
+    if len(own.per_hour) < LINES:
         return np.full(len(SWING_PERIODS_H), np.nan)
-    density = np.interp(1.0 / SWING_PERIODS_H, own.per_hour, statistics.smoothed(own.power, _LINES))
-    return amplitude_of(density * own.spacing_per_hour * _LINES)
+    density = np.interp(1.0 / SWING_PERIODS_H, own.per_hour, statistics.smoothed(own.power, LINES))
+    return amplitude_of(density * own.spacing_per_hour * LINES)
 
 
 def _tip_mm(run: Replayed, plant: Plant) -> Array:
@@ -205,7 +208,13 @@ def _profile_mm(run: Replayed, plant: Plant) -> Array:
 
 
 def _misfit_p(scenes: Sequence[Scene], null: Found, reference: ReferenceResiduals) -> float:
-    """Probability that runs in which nothing is wrong fit as badly; misfits are log-normal over runs."""
+    """Probability that runs in which nothing is wrong fit as badly; misfits are log-normal over runs.
+
+    1 where plants swing by themselves: hours' means keep more of that than is allowed for, and reference runs show
+    nothing of it.
+    """
+    if reference.swing is not None:
+        return 1.0
     count = len(scenes)
     here = float(np.log(2.0 * null.misfit / sum(scene.size for scene in scenes)))
     logs = np.log(reference.misfit)

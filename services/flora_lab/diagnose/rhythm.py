@@ -9,6 +9,7 @@ are tried, and the price of having looked at so many is paid.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -36,6 +37,8 @@ some hours, any period would explain any other."""
 BAND_H: Final = (0.7, 4.0)
 _AMPLITUDES_CM: Final = np.geomspace(0.05, 4.0, 56)
 _LEAST_VARIANCE_CM2: Final = 2.5e-9
+LINES: Final = 3
+"""Neighbouring lines of a spectrum over which a swing that does not keep its phase is spread."""
 _SMOOTH_SHARE: Final = 0.12
 _FLOOR_SHARE: Final = 0.02
 LOOKED: Final = float(np.log(65.0 * len(_OVERTONES)))
@@ -215,6 +218,16 @@ def best_swing(
         period_interval_h=(period[0], period[2]),
         amplitude_interval_cm=interval_cm,
     )
+
+
+def power_of(swing: Swing, own: Spectrum) -> Array:
+    """Power that is expected of a swing at the frequencies of a spectrum, cm^2 h, shape (n,)."""
+    return np.asarray(swing.amplitude_cm**2 * _line(own, np.array([1.0 / swing.period_h]), swing.coherence_h)[0])
+
+
+def is_same_period(one_h: float, other_h: float) -> bool:
+    """Whether two periods cannot be told apart by what swings about them."""
+    return abs(math.log(one_h / other_h)) < _ABOUT
 
 
 def _line(own: Spectrum, at: Array, coherence_h: float) -> Array:

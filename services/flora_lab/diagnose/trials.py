@@ -137,7 +137,9 @@ class Trials:
         left, expected = zip(*fast, strict=True)
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
-        gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
+        own = self.known.swing
+        is_news = own is None or not rhythm.is_same_period(swing.period_h, own.period_h)
+        gain = swing.evidence - usual if is_news and rhythm.is_plausible(swing) else 0.0
         return Tried(BY_NAME[SWING], gain, None, swing)
 
     def answer(self, found: Found, gusts: Gusts) -> None:
@@ -154,10 +156,18 @@ class Trials:
             self._errors.append((shift, errors + covariance(scene, found, run, gusts)))
 
     def joint(self, swing: Swing | None) -> Joint:
-        """The runs together, whitened for what was answered last, and for a swing where there is one."""
+        """The runs together, whitened for what was answered last, and for a swing where there is one, beside that which
+        plants have by themselves."""
+        return self._whitened([one for one in (swing, self.known.swing) if one is not None])
+
+    def left_without_swing(self, found: Found) -> float:
+        """What would be left if plants did not swing by themselves, see :attr:`.joint.Found.left`."""
+        return self._whitened([]).fit(started(found)).left
+
+    def _whitened(self, swings: Sequence[Swing]) -> Joint:
         runs = []
         for scene, answers, (shift, errors) in zip(self.scenes, self._answers, self._errors, strict=True):
-            besides = errors if swing is None else errors + chance.of_swing(scene, answers, swing)
+            besides = sum((chance.of_swing(scene, answers, one) for one in swings), errors)
             parts = chance.covariances(scene, answers)
             runs.append(ready(scene, self.known.base, parts, together=len(self.scenes), besides=besides, shift=shift))
         return Joint(runs, self.known.base)

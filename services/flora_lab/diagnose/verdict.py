@@ -12,6 +12,7 @@ import scipy.special
 import scipy.stats
 
 from flora_common.arrays import Array
+from flora_common.counted import listed
 from flora_lab.diagnose.diagnosis import NamedCause, Verdict
 from flora_lab.diagnose.explanation import FIRST, SWING, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause
@@ -79,7 +80,8 @@ class Left:
     Attributes:
         share: mean square of what is left over that of reference runs by themselves.
         p_value: how often reference runs would leave as much.
-        explained: share of what the simulator as it is leaves beyond what is usual, that the causes take away.
+        explained: share of what the simulator as it is leaves beyond what is usual, its own swing left out, that this
+            and the causes take away.
         unnamed: what seems to be at work that is no cause of the catalogue.
     """
 
@@ -112,7 +114,8 @@ def left_of(explanation: Explanation, known: Knowledge) -> Left:
         p_values.append(float(scipy.stats.t.sf(t, len(usual) - 1)))
         shares.append(float(np.exp(mine.mean() - usual.mean())))
     healthy = float(known.left[:, 0].mean())
-    before, after = (max(0.0, fit.left - healthy) for fit in (explanation.stages[0].before, explanation.found))
+    at_first = explanation.stages[0].before.left if explanation.unswung is None else explanation.unswung
+    before, after = (max(0.0, left - healthy) for left in (at_first, explanation.found.left))
     explained = 1.0 - after / before if before > 0.0 else 0.0
     return Left(shares[0], min(1.0, min(p_values) * len(p_values)), explained, explanation.unnamed)
 
@@ -328,7 +331,7 @@ def _sentence(text: str, nats: float, alike: Sequence[Tried], of_two: str) -> st
     text = text[0].upper() + text[1:]
     told = f"{text}: with it the runs are {times_as_probable(nats)}{of_two}."
     if alike:
-        told += f" These runs do not tell it from {_listed([t.effect.title.lower() for t in alike])}."
+        told += f" These runs do not tell it from {listed([t.effect.title.lower() for t in alike], 'or')}."
     return told
 
 
@@ -338,7 +341,3 @@ def _of_two(explanation: Explanation, place: int) -> str:
         return ""
     other = explanation.accepted[1 - place].tried.effect.title.lower()
     return f", beside {other}; neither of the two is enough by itself, and both together are"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"

@@ -17,7 +17,7 @@ from flora_lab.diagnose import chance, clocks, corrected_tracks, emulated, store
 from flora_lab.diagnose.cross_fit import ROUNDS
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, Residuals
 from flora_lab.diagnose.explain import Explainer
-from flora_lab.diagnose.explanation import SWING, Explanation, Tried
+from flora_lab.diagnose.explanation import Explanation, Tried
 from flora_lab.diagnose.gain import measure_gain
 from flora_lab.diagnose.inputs import (
     Runs,
@@ -30,6 +30,7 @@ from flora_lab.diagnose.inputs import (
 )
 from flora_lab.diagnose.knocks import KNOCKED
 from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.known_swing import swing_of, with_swing
 from flora_lab.diagnose.learned_base import learned_base
 from flora_lab.diagnose.learned_simulator import faults_of
 from flora_lab.diagnose.mended_simulator import Mended
@@ -132,12 +133,10 @@ def start_from(
     simulator = stored.path
     if stored_base.is_known(stored):
         read = RodSimulator.from_stored(stored)
-        if any(extension.effect == SWING for extension in read.extensions):
-            raise BadInput(
-                f"{simulator}: was extended with {SWING}, which a diagnosis cannot start from; give the base.simulator "
-                "that was extended"
-            )
         known = stored_base.read_known(stored)
+        swing = swing_of(read.extensions, read.noise.nutation_coherence_h)
+        if swing is not None:
+            known = with_swing(known, swing)
         words = ", and extended with ".join(
             [f"{simulator.name}, learned from {counted(known.base.runs, 'run')}", *(e.effect for e in read.extensions)]
         )
@@ -203,7 +202,7 @@ def diagnose(
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c, terms) if further else []
         gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
-        asked = next_experiment(scenes, start.known.base, explanation, start.known.errors)
+        asked = next_experiment(scenes, start.known.base, explanation, start.known.errors, start.known.swing)
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
         verdict=verdict_of(causes, left, bool(runs.knocked)),
