@@ -12,14 +12,17 @@ from diagnose_runs import known, scenes_of
 from evolve_simulators import mechanistic
 
 from flora_common.arrays import Array
-from flora_lab.diagnose import boosting, light_plans
+from flora_common.runs import LampsSection
+from flora_lab.diagnose import boosting, light_plans, stored_base
 from flora_lab.diagnose.controller_gain import Effort, Kind, bred, controller_gain
+from flora_lab.diagnose.corrected_gain import CORRECTED, corrected_gain
 from flora_lab.diagnose.diagnosis import Gain
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Accepted, Explanation
 from flora_lab.diagnose.gain import POOLED, SIMULATORS, _left_out, measure_gain
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found
+from flora_lab.diagnose.mended_simulator import BASE, STILL
 from flora_lab.diagnose.replayed import replayed
 from flora_lab.diagnose.rivals import last_choice
 from flora_lab.diagnose.scene import Scene
@@ -29,6 +32,7 @@ from flora_lab.evolve.individuals import Individuals
 from flora_lab.evolve.scenario_batch import arrays_of, collide, fitness
 from flora_lab.evolve.task import LEFT, REALITY
 from flora_lab.simulator import terms
+from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.interface import Chance
 from flora_lab.simulator.shape import can_start
 from flora_lab.simulator.store import Extension
@@ -291,3 +295,19 @@ def test_plans_get_better() -> None:
     ends = [judge(light_plans.evolved(judge, generations, 20, seed=1))[0] for generations in (1, 30)]
     assert ends[1] > 0.5 * ends[0]
     assert judge(light_plans.evolved(judge, 30, 20, seed=1))[0] == ends[1]
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_a_learned_simulator_is_judged_as_it_is_and_corrected(held_out: bool) -> None:
+    """Of one that knows what the base knows, what is added is all that it lacked."""
+    learned = stored_base.simulator_of(known().base, LampsSection(), DataRange(30.0, 20.0), None)
+    further = [scene.run for scene in scenes_of(HELD_OUT, DRAUGHT)] if held_out else []
+    runs = [scene.run for scene in measured()]
+    told = corrected_gain(learned, learned, explained(), runs, further)  # type: ignore[arg-type]
+    for row in told["tip_error_mm"].values():
+        assert set(row) == {BASE, CORRECTED, STILL}
+    for when in ("24h", "end", "mean"):
+        row = told["tip_error_mm"][when]
+        assert row[CORRECTED] < 0.7 * row[BASE]
+    assert told["judged_on"] == ("2 runs held out" if held_out else "each of 3 runs, by what the others tell")
+    assert corrected_gain(learned, learned, explained(), runs[:1]) == {}  # type: ignore[arg-type]

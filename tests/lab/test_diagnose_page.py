@@ -230,3 +230,18 @@ def test_values_have_units_and_hours_lie_on_the_clock() -> None:
     assert value_text(peak, 25.5) == "1.5 h"
     assert value_text(BY_NAME["camera_roll"].parameters[0], -2.5) == "−2.5°"
     assert (sure_text(0.999), sure_text(0.3)) == ("practically certain (over 99 %)", "no more than a guess (30 %)")
+
+
+@pytest.mark.parametrize(
+    ("row", "title", "words"),
+    [
+        ({"base": 20.0, "corrected": 8.0, "still": 60.0}, "corrected", "is added to its own"),
+        ({"base": 20.0, "clock": 9.0, "still": 60.0}, "mended", "slowed down to real time"),
+    ],
+)
+def test_what_a_learned_simulator_gains_is_told(row: dict[str, float], title: str, words: str) -> None:
+    told = page(diagnosis(learned={"tip_error_mm": {"24h": row}, "judged_on": "3 runs held out"}), {})
+    assert f"The learned simulator, {title}" in told
+    assert words in told
+    assert "judged on 3 runs held out" in told
+    assert all(f"{value:.1f}" in told for value in row.values())

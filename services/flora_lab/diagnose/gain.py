@@ -118,11 +118,22 @@ def measure_gain(
 
 def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
     """A fold for each run, and in how many of them a rival won."""
+    found, count = without_each(explanation), len(explanation.joint.runs)
+    folds = []
+    for out, fit in enumerate(found):
+        rest = tuple(i for i in range(count) if i != out)
+        typical = explanation.joint.base.mean_with(fit.traits)
+        folds.append(Fold(rest, (out,), fit.hypothesis.change(fit.coordinates), typical))
+    return folds, sum(fit.hypothesis.causes != explanation.found.hypothesis.causes for fit in found)
+
+
+def without_each(explanation: Explanation) -> list[Found]:
+    """For each run, what the others tell: the causes fitted anew, or those of a rival that wins without it."""
     runs, stage = explanation.joint.runs, last_choice(explanation)
     if stage is None:
-        return [], 0
+        return []
     others = [tried.found for tried in rivals(explanation)[:RIVALS] if tried.found is not None]
-    folds, won = [], 0
+    best = []
     for out in range(len(runs)):
         rest = [i for i in range(len(runs)) if i != out]
         joint = Joint([runs[i] for i in rest], explanation.joint.base)
@@ -131,10 +142,8 @@ def _left_out(explanation: Explanation) -> tuple[list[Fold], int]:
         for fit in fits[1:]:
             if evidence_for_last(before, fit) > evidence_for_last(before, chosen):
                 chosen = fit
-        won += chosen is not fits[0]
-        change = chosen.hypothesis.change(chosen.coordinates)
-        folds.append(Fold(tuple(rest), (out,), change, joint.base.mean_with(chosen.traits)))
-    return folds, won
+        best.append(chosen)
+    return best
 
 
 def _fitted(joint: Joint, rest: Sequence[int], found: Found) -> Found:

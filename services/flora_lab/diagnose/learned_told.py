@@ -1,4 +1,4 @@
-"""What a mended simulator by the paper's recipe gains, for people: on a page, and as text."""
+"""What a learned simulator gains, mended or corrected, for people: on a page, and as text."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from flora_lab import html_page
+from flora_lab.diagnose.corrected_gain import CORRECTED
 from flora_lab.diagnose.diagnosis import END
 from flora_lab.diagnose.mended_simulator import BASE, CLOCK, MEAN, MEMORY, NO_MEMORY, STILL
 
@@ -14,8 +15,22 @@ _TITLES: Final = {
     CLOCK: "clock set right",
     NO_MEMORY: "and a rest that forgets",
     MEMORY: "and a memory",
+    CORRECTED: "with what it lacks",
     STILL: "nothing moves",
 }
+
+
+_WORDS: Final = {
+    "mended": "Its plants are slowed down to real time, and what plants do besides under the lamps of the last hours "
+    "is added, as a linear rule. Beside it stands the same rule without the lamps' past: what lies between both is "
+    "memory.",
+    "corrected": "What the effects that were found make of a mechanistic plant is added to its own.",
+}
+
+
+def _how(learned: Mapping[str, Any]) -> str:
+    """What was done to it."""
+    return "corrected" if any(CORRECTED in row for row in learned["tip_error_mm"].values()) else "mended"
 
 
 def table(learned: Mapping[str, Any]) -> list[list[str]]:
@@ -33,13 +48,10 @@ def pieces(learned: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
     rows = table(learned)
     if not rows:
         return []
+    how, judged_on = _how(learned), learned["judged_on"]
     out = [
-        html_page.section("The learned simulator, mended"),
-        html_page.paragraph(
-            "Its plants are slowed down to real time, and what plants do besides under the lamps of the last hours is "
-            "added, as a linear rule. Beside it stands the same rule without the lamps' past: what lies between both "
-            f"is memory. Running free from the first stem; judged on {learned['judged_on']}."
-        ),
+        html_page.section(f"The learned simulator, {how}"),
+        html_page.paragraph(f"{_WORDS[how]} Running free from the first stem; judged on {judged_on}."),
     ]
     if "learned" in pictures:
         caption = "The tip, measured and simulated from the first stem on."
@@ -57,7 +69,7 @@ def lines(learned: Mapping[str, Any]) -> list[str]:
         "".join(cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, wide, strict=True)))
         for row in rows
     ]
-    return ["the learned simulator, mended:", *text, f"judged on: {learned['judged_on']}", ""]
+    return [f"the learned simulator, {_how(learned)}:", *text, f"judged on: {learned['judged_on']}", ""]
 
 
 def _time(when: str) -> str:

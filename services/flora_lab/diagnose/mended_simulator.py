@@ -104,7 +104,7 @@ def mended(
     judged = tuple(holdout or runs)
     stems = {name: _simulated(make, runs, holdout) for name, make in makers.items()}
     stems[STILL] = [np.repeat(run.points_cm[:1], len(run), axis=0) for run in judged]
-    errors = {name: _errors(own, judged) for name, own in stems.items()}
+    errors = {name: tip_errors_mm(own, judged) for name, own in stems.items()}
     times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
     table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
     if holdout:
@@ -164,7 +164,7 @@ def _best_ridge(clocked: RememberingSimulator, runs: Sequence[MeasuredRun]) -> f
     """The penalty with which runs are followed best, see :func:`_simulated`; None where all are worse than none."""
 
     def off_mm(make: Maker) -> float:
-        off = _errors(_simulated(make, runs, ()), runs)[MEAN]
+        off = tip_errors_mm(_simulated(make, runs, ()), runs)[MEAN]
         return off if np.isfinite(off) else np.inf
 
     def off_with(ridge: float) -> float:
@@ -178,15 +178,16 @@ def _best_ridge(clocked: RememberingSimulator, runs: Sequence[MeasuredRun]) -> f
 def _simulated(make: Maker, runs: Sequence[MeasuredRun], holdout: Sequence[MeasuredRun]) -> list[FloatArray]:
     """Stems of each run from its first one on, shape (n, 10, 2), by what other runs tell, or itself where none do."""
     if holdout:
-        return _free(make(runs), holdout)
+        return free_stems(make(runs), holdout)
     simulated: list[FloatArray] = []
     for i, run in enumerate(runs):
         others = [other for j, other in enumerate(runs) if j != i] or [run]
-        simulated += _free(make(others), [run])
+        simulated += free_stems(make(others), [run])
     return simulated
 
 
-def _free(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[FloatArray]:
+def free_stems(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[FloatArray]:
+    """Stems of a simulator that runs free from the first stem of each run, shape (n, 10, 2)."""
     stems: list[FloatArray] = [np.empty(0)] * len(runs)
     for places in by_step(runs):
         own = [runs[i] for i in places]
@@ -196,7 +197,7 @@ def _free(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[FloatA
     return stems
 
 
-def _errors(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dict[str, float]:
+def tip_errors_mm(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Median over runs of the tip error about each time, mm."""
     at: dict[str, list[float]] = {}
     for stems, run in zip(simulated, runs, strict=True):

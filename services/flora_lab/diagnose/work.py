@@ -14,6 +14,7 @@ from flora_common import files
 from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_lab.diagnose import chance, clocks, corrected_tracks, emulated, stored_base
+from flora_lab.diagnose.corrected_gain import corrected_gain
 from flora_lab.diagnose.cross_fit import ROUNDS
 from flora_lab.diagnose.diagnosis import Described, Diagnosis, NamedCause, Residuals
 from flora_lab.diagnose.explain import Explainer
@@ -202,6 +203,7 @@ def diagnose(
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c, terms) if further else []
         gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
+        learned = _learned_gain(start, mended, explanation, runs, further)
         asked = next_experiment(scenes, start.known.base, explanation, start.known.errors, start.known.swing)
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
@@ -222,7 +224,7 @@ def diagnose(
             **({"extended_by_these_runs": again} if again else {}),
             **_base_words(start.known),
         },
-        learned=mended.told() if mended is not None else {},
+        learned=learned,
     )
     extensions = extensions_of(causes[len(faults) :])
     extended = None
@@ -242,6 +244,19 @@ def _mended(start: Start, faults: Sequence[NamedCause], runs: Runs, further: Run
     if not isinstance(learned, PaperSimulator):
         return None
     return mended_of(learned, faults, runs.measured, further.measured if further else ())
+
+
+def _learned_gain(
+    start: Start, mended: Mended | None, explanation: Explanation, runs: Runs, further: Runs | None
+) -> dict[str, Any]:
+    """What the learned simulator that was given gains; nothing where none was."""
+    if mended is not None:
+        return mended.told()
+    learned = None if start.judged is None else simulator_of(start.judged)
+    if isinstance(learned, RodSimulator) or not isinstance(learned, LearnedSimulator):
+        return {}
+    held_out = further.measured if further is not None else ()
+    return corrected_gain(learned, start.simulator, explanation, runs.measured, held_out)
 
 
 def corrected_by(start: Start, extensions: Sequence[Extension], mended: Mended | None) -> CorrectedSimulator | None:
