@@ -1,6 +1,6 @@
 """A few hidden effects, drawn by seeds fixed beforehand, have to be found; healthy runs must be left alone.
 
-`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: two in `make test`,
+`make discovery` judges hundreds. Here a handful is enough to see that the finder still finds: three in `make test`,
 against the same healthy plants, which are learned once, and seven more in `make test-slow`. What has no name is tried
 in small in tests/lab/test_diagnose_unnamed.py.
 """
@@ -106,6 +106,12 @@ def test_a_hidden_effect_is_named_first(form: int, seed: int, tmp_path: Path) ->
     effect = effects[HIDDEN.index((form, seed))]
     answer = _answer(draw_case(seed, form=form, kind="single", effect=effect), tmp_path)
     assert answer.is_right, f"{sorted(answer.hidden)}: {answer.verdict} {[c.effect for c in answer.causes]}"
+
+
+def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
+    form, seed = QUICK
+    answer = _answer(draw_case(seed, form=form, kind="pair"), tmp_path)
+    assert {cause.effect for cause in answer.causes} == answer.hidden, [c.evidence for c in answer.causes]
 
 
 @pytest.mark.parametrize(("form", "seed"), _some(NOTHING))

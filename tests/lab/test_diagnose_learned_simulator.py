@@ -7,19 +7,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from diagnose_runs import LAMPS, QUIET, TYPICAL, base, run_of, turns
+from diagnose_runs import LAMPS, QUIET, TYPICAL, base, change_of, run_of, turns
 from simulator_fakes import straight_run, write_straight
 
 from flora_common.arrays import FloatArray
 from flora_lab.diagnose import emulated, stored_base
 from flora_lab.diagnose.inputs import Runs
-from flora_lab.diagnose.learned_simulator import faults_of
+from flora_lab.diagnose.learned_simulator import faults_of, still_wrong
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.load import KINDS
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Provenance, Stored, read_stored, write_simulator
+from flora_lab.simulator.store import Extension, Provenance, Stored, read_stored, write_simulator
 
 PROVENANCE = Provenance(recipe="test", seed=0, software="test")
 GROWTHS = (0.1, 0.12, 0.14, 0.11, 0.13)
@@ -137,6 +137,16 @@ def test_few_plants_are_less_sure_of_a_clock(tmp_path: Path) -> None:
 
 def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:
     assert faults_of(read_stored(write_straight(tmp_path / "right.simulator")), straight()) == []
+
+
+def test_plants_that_grow_more_slowly_are_no_fault_of_the_clock_once_that_is_known(tmp_path: Path) -> None:
+    slower = change_of({"growth_rate": {"factor": 0.55}})
+    runs = [run_of(seed, chance=QUIET, light=turns(24.0, 3.0), change=slower) for seed in range(4)]
+    faults = faults_of(stored(tmp_path / "rod", rod()), runs)
+    assert [fault.effect for fault in faults] == ["time_scale"]
+    assert still_wrong(faults, rod().extended([Extension("growth_rate", {"factor": 0.55})]), runs) == []
+    assert still_wrong(faults, rod().extended([Extension("sag", {"amplitude": 0.01})]), runs) == faults
+    assert still_wrong([], rod(), runs) == []
 
 
 # Runs of a simulator itself

@@ -26,6 +26,7 @@ from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.store import Stored
 
+TIME_SCALE: Final = "time_scale"
 _SEED: Final = 1
 _CLEAR: Final = 1.15
 """A clock that is wrong by less is not told from individuals."""
@@ -58,6 +59,22 @@ def faults_of(stored: Stored, runs: Sequence[MeasuredRun]) -> list[NamedCause]:
     return [fault for fault in found if fault is not None]
 
 
+def still_wrong(
+    faults: Sequence[NamedCause], corrected: Simulator[Any], runs: Sequence[MeasuredRun]
+) -> list[NamedCause]:
+    """The faults without a clock that is right once the effects that were found are beside the simulator: plants that
+    grow more slowly look like a clock that is too fast.
+
+    Args:
+        faults: of the simulator as it is.
+        corrected: with these effects.
+        runs: measured.
+    """
+    is_in_question = any(fault.effect == TIME_SCALE for fault in faults)
+    is_right = is_in_question and _clock(corrected, runs) is None
+    return [fault for fault in faults if not (is_right and fault.effect == TIME_SCALE)]
+
+
 def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause | None:
     scale = best_time_scale(simulator, runs, _SEED)
     factor, low, high = scale.factor.value, scale.factor.low, scale.factor.high
@@ -69,7 +86,7 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
         return None
     else:
         sure = _SURE_BY_PLANTS
-    effect = BY_NAME["time_scale"]
+    effect = BY_NAME[TIME_SCALE]
     told = (
         f"; the tip error falls from {scale.error_as_is_mm:.0f} to {scale.error_mm:.0f} mm when its clock is set right"
     )

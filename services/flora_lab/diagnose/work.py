@@ -33,7 +33,7 @@ from flora_lab.diagnose.knocks import KNOCKED
 from flora_lab.diagnose.knowledge import Knowledge
 from flora_lab.diagnose.known_swing import swing_of, with_swing
 from flora_lab.diagnose.learned_base import learned_base
-from flora_lab.diagnose.learned_simulator import faults_of
+from flora_lab.diagnose.learned_simulator import faults_of, still_wrong
 from flora_lab.diagnose.mended_simulator import Mended
 from flora_lab.diagnose.mended_simulator import mended as mended_of
 from flora_lab.diagnose.next_experiment import next_experiment
@@ -197,6 +197,9 @@ def diagnose(
         if runs.knocked:
             causes = beside_a_knock(causes)
         faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
+        beside = corrected_by(start, extensions_of(causes), None)
+        if beside is not None:
+            faults = still_wrong(faults, beside, runs.measured)
         mended = _mended(start, faults, runs, further)
         said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
         extended_tables = _extended(scenes, start.known, explanation)
