@@ -18,7 +18,16 @@ from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.knowledge import blocks
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.summary import nearest, summary
-from flora_lab.diagnose.verdict import Left, beside_a_knock, left_of, left_words, named, verdict_of
+from flora_lab.diagnose.verdict import (
+    LEAST_P,
+    SUREST,
+    Left,
+    beside_a_knock,
+    left_of,
+    left_words,
+    named,
+    verdict_of,
+)
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.threads import one_blas_thread
 
@@ -82,6 +91,8 @@ def test_more_evidence_is_more_confidence() -> None:
     p_values = [cause_of({"sag": gain, "draught": 1.0}, "sag", SAGGING).p_value for gain in (6.0, 12.0, 30.0)]
     assert p_values == sorted(p_values, reverse=True)
     assert p_values[0] == pytest.approx(2.0 * np.exp(-6.0))
+    assert p_values[-1] == LEAST_P
+    assert cause_of({"sag": 2000.0, "draught": 1.0}, "sag", SAGGING).confidence == SUREST
 
 
 def test_of_as_much_evidence_a_later_cause_is_less_sure() -> None:

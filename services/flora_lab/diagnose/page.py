@@ -42,6 +42,11 @@ _PLANTS: Final[dict[Plant, str]] = {
     ),
 }
 _EXTENDED: Final = "Where orange follows black, the causes make up for it."
+_RESIDUALS: Final = (
+    "Residuals are measured less simulated, of the typical plant and in mm where nothing else is said: positive is "
+    "farther to the right, higher, or faster."
+)
+_NAMED: Final = "A long bar without a name says much the same of the runs as one with a name, and says it less well."
 _NAMELESS: Final = "None is named, however far its bar goes, for none of them makes up for all that is wrong."
 _UNITS: Final = (("_per_cm_h", " /(cm h)"), ("_cm", " cm"), ("_deg", "°"), ("_h", " h"))
 _RATES: Final = (("per_degree", " per °C"), ("per_hour", " per hour"))
@@ -218,14 +223,19 @@ _PICTURES: Final[tuple[tuple[str, Literal["png", "gif"], str, str], ...]] = (
         "how far apart measured and simulated stems are, along the stem and over time",
         "Where it is wrong: from the foot of the stem to its tip, and over the run.",
     ),
-    ("film", "gif", "measured and simulated stems growing", "The stems themselves, in cm, an hour per frame."),
+    (
+        "film",
+        "gif",
+        "measured and simulated stems growing",
+        "The stems themselves: cm to the right of the anchor, and above it; an hour per frame.",
+    ),
     ("stems", "png", "measured and simulated stems at some hours", "The stems at some hours of the runs, in cm."),
     (
         "spectrum",
         "png",
         "how strongly the tip swings at each period, beside reference runs",
         "Swings of the tip that the simulator does not have, by their period: a line that stands far above the grey is "
-        "a rhythm of the plant's own.",
+        "a rhythm of the plant's own; single lines a few times above it come and go by chance.",
     ),
     (
         "evidence",
@@ -248,6 +258,8 @@ def _seen(diagnosis: Diagnosis, pictures: Mapping[str, bytes], plant: Plant) -> 
                 told = f"{caption} {_EXTENDED}"
             elif name == "evidence" and diagnosis.verdict == "unexplained" and not diagnosis.causes:
                 told = f"{caption} {_NAMELESS}"
+            elif name == "evidence" and diagnosis.causes:
+                told = f"{caption} {_NAMED}"
             out.append(html_page.spaced(html_page.picture(pictures[name], kind, alt=alt, caption=told)))
     return out
 
@@ -302,7 +314,7 @@ def _record(diagnosis: Diagnosis) -> list[str]:
 
 def _numbers(diagnosis: Diagnosis, evidence: Evidence) -> list[str]:
     """Everything else, folded away."""
-    out = []
+    out = [html_page.paragraph(_RESIDUALS)] if diagnosis.residuals.where else []
     for number, tried in enumerate(evidence, start=1):
         title = "Evidence of each cause" if number == 1 else f"Evidence of one cause more, round {number}"
         rows = [(name, f"{nats:.1f}".replace("-", "−")) for name, nats in tried]

@@ -56,6 +56,8 @@ _LEAST_SD: Final = 0.10
 """Added to the spread of what reference runs leave, in nats: a few may be alike by chance."""
 _LEFT_P: Final = 0.003
 _MOSTLY: Final = 0.6
+SUREST, LEAST_P = 0.999, 1e-6
+"""What is told at most of a confidence, and at least of a p-value: nothing beyond was counted, in some 700 claims."""
 _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
 TIPPED: Final = ("camera_roll", "camera_drift")
@@ -220,7 +222,7 @@ def named(explanation: Explanation, left: Left) -> list[NamedCause]:
                 effect=best.effect.name,
                 parameters=parameters,
                 interval=interval,
-                confidence=round(sure, 3),
+                confidence=min(round(sure, 3), SUREST),
                 p_value=_p_value(stage),
                 confusable_with=[t.effect.name for t in alike],
                 evidence=_sentence(
@@ -291,7 +293,7 @@ def _confidence(stage: Stage, alike: Sequence[Tried], belief: Belief) -> float:
 
 def _p_value(stage: Stage) -> float:
     """How often runs without a cause would show this evidence for any of so many, at most (Markov's inequality)."""
-    return float(min(1.0, len(stage.tried) * np.exp(-stage.tried[0].gain)))
+    return float(np.clip(len(stage.tried) * np.exp(-stage.tried[0].gain), LEAST_P, 1.0))
 
 
 def _told(p: Parameter, value: float) -> float:
