@@ -35,7 +35,7 @@ class ReadPlan:
     """A plan that was read and checked.
 
     Attributes:
-        name: of the file, without its suffix.
+        name: of the file.
         sha256: of the file.
         plan: what stands in it.
         light_at: what shines from a time of the run on, in seconds.
@@ -58,7 +58,7 @@ def read_light_plan(path: Path) -> ReadPlan:
         light_at = parse_schedule(plan.schedule)
     except BadInput as problem:
         raise BadInput(f"{path}: {problem}") from problem
-    return ReadPlan(path.name.removesuffix(SUFFIX), sha256_of_file(path), plan, light_at)
+    return ReadPlan(path.name, sha256_of_file(path), plan, light_at)
 
 
 def write_light_plan(path: Path, plan: LightPlan, remarks: Sequence[str] = ()) -> None:

@@ -16,7 +16,7 @@ from flora_common.signing import read_trusted_keys, signer_of
 
 def check_file(argv: Sequence[str]) -> int:
     """Run the command; returns the exit status."""
-    parser = ArgumentParser("flora-controller check", description="Check a controller file and end.")
+    parser = ArgumentParser("flora-controller check", description="Check a controller file or a light plan, and end.")
     told = f"a controller file, *{SUFFIX}, or a light plan, *{LIGHTS_SUFFIX}"
     parser.add_argument("file", type=Path, metavar="FILE", help=told)
     parser.add_argument(
@@ -26,6 +26,8 @@ def check_file(argv: Sequence[str]) -> int:
     def work() -> None:
         options = parser.parse_args(argv)
         if options.file.name.endswith(LIGHTS_SUFFIX):
+            if options.keys is not None:
+                raise BadInput(f"{options.file}: light plans are not signed; leave --keys out")
             plan = read_light_plan(options.file).plan
             print(f"{options.file}: good; {plan.hours:g} h of light by the clock: {plan.schedule}")
             return

@@ -60,8 +60,8 @@ class ControllerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """Height of the tip at which the run counts as over."""
 
     trust: Trust = "if-signed"
-    """Signature of a file that ``use`` names: a trusted one, a trusted one or none, not looked at; offers always need
-    one."""
+    """Signature of a controller file that ``use`` names: a trusted one, a trusted one or none, not looked at; offers
+    always need one. Light plans are never signed."""
 
     keys_dir: Annotated[str, msgspec.Meta(min_length=1, max_length=4096)] = "/etc/flora/keys"
     """Folder of the public keys, ``*.pub``, of those whose signature counts."""
@@ -185,7 +185,8 @@ class ControllerCore:
             switches=self.record.switches + (last.light is not None and last.light != light),
             command=command,
         )
-        said = self._state(record, stem, points, note, shadowed)
+        over = record.run_over or (decision.over and f"run over: {decision.over}")
+        said = self._state(record, stem, points, note, shadowed, over)
         self.record = msgspec.structs.replace(record, said=said)
         return command, said
 
@@ -202,8 +203,7 @@ class ControllerCore:
             decision = self._ask(stem, points)
         record = self.record
         blind_ticks = record.blind_ticks + 1 if points is None or decision.light is None else 0
-        over = record.run_over or (decision.over and f"run over: {decision.over}")
-        self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks, run_over=over)
+        self.record = msgspec.structs.replace(record, blind_ticks=blind_ticks)
         if decision.light is None:
             return self._blindly(stem.time_s, decision.reason, record.light, blind_ticks), True
         self.record = msgspec.structs.replace(self.record, memory=dict(decision.memory), decisions=record.decisions + 1)
@@ -292,7 +292,13 @@ class ControllerCore:
         self.record = msgspec.structs.replace(record, run_over=over)
 
     def _state(
-        self, record: Record, stem: Stem, points: FloatArray | None, note: str, shadowed: Decision | None
+        self,
+        record: Record,
+        stem: Stem,
+        points: FloatArray | None,
+        note: str,
+        shadowed: Decision | None,
+        over: str,
     ) -> ControllerState:
         tip = None if points is None else (float(points[-1, 0]), float(points[-1, 1]))
         shadow, trial = self._lineup.shadow, record.shadow
@@ -311,8 +317,8 @@ class ControllerCore:
             blind_ticks=record.blind_ticks,
             decisions=record.decisions,
             switches=record.switches,
-            run_over=bool(record.run_over),
-            reason=as_sentence("; ".join(part for part in (*map(str, self.failures), note, record.run_over) if part)),
+            run_over=bool(over),
+            reason=as_sentence("; ".join(part for part in (*map(str, self.failures), note, over) if part)),
             shadow="" if shadow is None else as_sentence(shadow.name),
             shadow_sha256="" if shadow is None else shadow.sha256,
             shadow_output=None if trial is None or shadowed is None else trial.output,

@@ -175,7 +175,8 @@ def open_source(section: ControllerSection, state_dir: Path, acceptance: Accepta
     """The rule's source that the configuration names.
 
     Raises:
-        BadInput: no such built-in rule, a file that must not steer, or a task that lacks what it needs.
+        BadInput: no such built-in rule, a light plan that cannot be read, a file that must not steer,
+            or a task that lacks what it needs.
         StoreError: that a file is accepted cannot be written down.
     """
     if not section.use.endswith(SUFFIX):
@@ -196,6 +197,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         build,
         argv=arguments,
         check=check,
-        description="Decides left or right from each stem. `flora-controller check FILE` checks a controller file, "
-        "`flora-controller offer FILE` hands one to the flora-controller that runs.",
+        description="Decides left or right from each stem. `flora-controller check FILE` checks a controller file or a "
+        "light plan, `flora-controller offer FILE` hands one to the flora-controller that runs.",
     )

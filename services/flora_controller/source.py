@@ -1,8 +1,8 @@
-"""Where the steering rule comes from: a built-in name, or a file that may be replaced while it steers.
+"""Where the steering rule comes from: a built-in name, a light plan, or a controller file.
 
-A file is looked at before each decision. A new one takes over whole, or not at all: what is refused leaves the old one
-at work. The bytes that were accepted last are kept in the state folder, so that a bad file in place of a good one does
-not stop a service that is started again either.
+A controller file may be replaced while it steers: it is looked at before each decision. A new one takes over whole, or
+not at all: what is refused leaves the old one at work. The bytes that were accepted last are kept in the state folder,
+so that a bad file in place of a good one does not stop a service that is started again either.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ _Stamp = tuple[int, int, int, int, int]
 
 
 def check_name(use: str) -> None:
-    """Whether a rule that is no controller file is built in, or a light plan; ConfigError where it is neither."""
+    """Whether a rule that is no controller file can be had.
+
+    Raises:
+        BadInput: no such built-in rule, or a light plan that cannot be read.
+    """
     if use.endswith(LIGHTS_SUFFIX):
         read_light_plan(Path(use))
     elif use not in BUILT_IN:
@@ -91,7 +95,7 @@ def _kept_before(kept: Path, acceptance: Acceptance, problem: BadController | St
 
 
 class FixedSource:
-    """A built-in rule: nothing can replace it."""
+    """A built-in rule or a light plan: nothing replaces it while the service runs."""
 
     def __init__(self, steering: Steering) -> None:
         self.steering = steering

@@ -233,7 +233,9 @@ def test_a_light_plan_shines_by_the_clock_and_says_when_the_run_is_over(bus: Pri
         ("both", False, True),
         ("both", False, True),
     ]
-    assert (told.controller, "the light plan's 4 h have passed" in told.reason) == ("dusk", True)
+    assert main(["check", str(plan)]) == 0
+    assert main(["check", str(plan), "--keys", str(bus.folder)]) == 2
+    assert (told.controller, "the light plan's 4 h have passed" in told.reason) == ("dusk.lights.toml", True)
 
 
 @pytest.mark.parametrize(

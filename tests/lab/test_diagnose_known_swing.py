@@ -16,6 +16,7 @@ from flora_lab.diagnose.residuals import SWING_PERIODS_H, residuals_of
 from flora_lab.diagnose.rhythm import amplitude_of
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
+from flora_lab.simulator.extended import change_of
 from flora_lab.simulator.store import Extension
 from flora_lab.threads import one_blas_thread
 
@@ -57,16 +58,11 @@ def test_plants_that_swing_as_the_simulators_do_are_right(more: float) -> None:
     assert "The tip swings by" in without.description or "the tip swings by" in without.description
 
 
-def test_another_swing_is_still_told() -> None:
-    explanation = explained(scenes_of((82, 83), swing=(2.4, AMPLITUDE_CM)), swinging())
-    assert names(explanation) == ["circumnutation"]
-    assert explanation.swing is not None
-    assert explanation.swing.period_h == pytest.approx(2.4, rel=0.05)
-
-
 def test_what_else_is_wrong_with_swinging_plants_is_named() -> None:
     scenes = scenes_of((80, 81), {"growth_rate": {"factor": 1.5}}, swing=(PERIOD_H, AMPLITUDE_CM))
-    assert names(explained(scenes, swinging())) == ["growth_rate"]
+    explanation = explained(scenes, swinging())
+    assert names(explanation) == ["growth_rate"]
+    assert verdict(scenes, explanation, swinging()) == "explained"
 
 
 def test_a_swing_is_a_part_of_what_is_usual() -> None:
@@ -80,13 +76,14 @@ def test_a_swing_is_a_part_of_what_is_usual() -> None:
     assert SWING_PERIODS_H[np.argmax(curve)] == pytest.approx(PERIOD_H, rel=0.05)
 
 
-def test_swings_that_were_found_one_after_another_add_up() -> None:
+def test_of_swings_one_after_another_the_last_one_counts_as_in_the_simulator() -> None:
     told = [
         Extension("circumnutation", {"period_h": 1.5, "amplitude_cm": 0.3}),
         Extension("growth_rate", {"factor": 1.2}),
         Extension("circumnutation", {"period_h": 1.6, "amplitude_cm": 0.4}),
     ]
-    both = swing_of(told, COHERENCE_H)
-    assert both is not None
-    assert (both.period_h, both.amplitude_cm, both.coherence_h) == (1.6, pytest.approx(0.5), COHERENCE_H)
+    swing, change = swing_of(told, COHERENCE_H), change_of(told, "test")
+    assert swing is not None
+    assert (swing.period_h, swing.amplitude_cm, swing.coherence_h) == (1.6, 0.4, COHERENCE_H)
+    assert (change.rhythm_h, change.rhythm_cm) == (swing.period_h, swing.amplitude_cm)
     assert swing_of(told[1:2], COHERENCE_H) is None

@@ -11,9 +11,11 @@ import pytest
 
 from flora_common.arrays import FloatArray
 from flora_common.controller_file import LoadedController, load_controller
+from flora_common.light_plan import read_light_plan
 from flora_common.messages import LightCommand, Stem
 from flora_common.messages.catalogue import Outcome
 from flora_common.network import Network
+from flora_common.open_loop import OpenLoopSection
 from flora_common.shapes import Obstacle, Target
 from flora_common.stem_range import StemRange
 from flora_controller.core import ControllerCore, ControllerSection, usable_points
@@ -21,7 +23,7 @@ from flora_controller.evolved import Evolved
 from flora_controller.lineup import Lineup
 from flora_controller.record import Record, read_record, write_record
 from flora_controller.source import built_in
-from flora_controller.steering import Steering
+from flora_controller.steering import OpenLoop, Planned, Steering
 
 GOLDEN = Path(__file__).parent.parent / "golden" / "controllers" / "good"
 TARGET, OBSTACLE = Target(-5.12, 17.9), Obstacle(-6.3, 12.5)
@@ -99,6 +101,21 @@ def test_the_open_loop_needs_no_stem() -> None:
     light = command(core("open-loop"), stem(100, outcome="no_frame"))
 
     assert (light.light, light.blind) == ("right", False)
+
+
+def test_a_light_plan_that_is_over_says_nothing_of_the_rule_after_it(tmp_path: Path) -> None:
+    path = tmp_path / "short.lights.toml"
+    path.write_text('schedule = "6h"\nhours = 0.5\n')
+    made = core(Planned(read_light_plan(path)))
+    for tick, is_over in ((4, False), (5, False), (6, True), (9, True)):  # five minutes apart
+        answer = made.on_stem(stem(tick))
+        assert answer is not None
+        assert answer[1].run_over == is_over
+    assert "the light plan's 0.5 h have passed" in answer[1].reason
+    made.use(Lineup(OpenLoop(OpenLoopSection())))
+    after = made.on_stem(stem(10))
+    assert after is not None
+    assert not after[1].run_over
 
 
 def test_points_that_are_not_ten_are_no_stem() -> None:

@@ -209,7 +209,6 @@ def test_four_looks_are_right_more_often_than_one(kinds: Sequence[Callable[[int]
     off_cm = [np.mean([min(end.off_cm, 5.0) for end in look]) for look in (once, closer)]
     believed = [[end for end in look if is_believed(end)] for look in (once, closer)]
     wrong = [np.mean([end.off_cm > LIMITS_CM[1] for end in look]) for look in believed]
-    print(len(once), off_cm, [len(look) for look in believed], wrong)
     last = [end for made in kinds for end in usable(made, 1)]
     assert (
         told_apart(np.array([end.off_cm for end in last]) > LIMITS_CM[1], np.array([end.off[1] for end in last])) > 0.75

@@ -151,8 +151,8 @@ class LightCommand(Message, kw_only=True, frozen=True):
 class ControllerState(Message, kw_only=True, frozen=True):
     """What steers, and how well it does."""
 
-    controller: Annotated[Sentence, Meta(description="file name or built-in name")]
-    sha256: Annotated[OptionalSha256, Meta(description="of the controller file; empty for built-in ones")] = ""
+    controller: Annotated[Sentence, Meta(description="name of the controller file or light plan, or built-in name")]
+    sha256: Annotated[OptionalSha256, Meta(description="of that file; empty for built-in ones")] = ""
     time_s: Seconds = 0.0
     fitness: Annotated[Fitness | None, Meta(description="the paper's F of the present tip")] = None
     best_fitness: Fitness | None = None

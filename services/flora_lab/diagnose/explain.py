@@ -94,8 +94,11 @@ class Explainer:
             alone, joint, null = self.trials.begun()
         reached = _Reached(joint, null)
         stages: list[Stage] = []
+        unswung: float | None = None
         while len(stages) <= MOST_CAUSES:
             stage = self.trials.settled(reached.joint, reached.found, reached.swing)
+            if not stages and self.trials.known.swing is not None:  # while the runs are whitened about this very fit
+                unswung = self.trials.left_without_swing(stage.before)
             reached = replace(reached, found=stage.before)
             stage, further = self._further(reached, stage)
             stages.append(stage)
@@ -110,8 +113,7 @@ class Explainer:
         null = stages[0].before if swing is None else joint.fit(alone)
         beside = self._beside(stages[-1], accepted)
         first = self._needed(stages[0], ())
-        bare = None if self.trials.known.swing is None else self.trials.left_without_swing(stages[0].before)
-        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside, bare)
+        return Explanation(null, reached.found, swing, tuple(stages), accepted, joint, first, beside, unswung)
 
     def _is_worth_taking(self, stage: Stage, accepted: Sequence[Accepted]) -> bool:
         """Whether the best cause of a stage is one."""

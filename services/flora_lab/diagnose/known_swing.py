@@ -1,11 +1,10 @@
 """What a simulator's own swing of the tip, by which it was extended, adds to what is usual of its plants.
 
-How far a tip swings differs from plant to plant, so that such a simulator is asked about swings of other periods only.
+How far a tip swings differs from plant to plant, and a simulator has one swing, so that none is looked for beside it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -36,8 +35,7 @@ def swing_of(extensions: Sequence[Extension], coherence_h: float) -> Swing | Non
     told = [one.parameters for one in extensions if one.effect == circumnutation.EFFECT.name]
     if not told:
         return None
-    period_h = told[-1]["period_h"]
-    amplitude_cm = math.sqrt(sum(one["amplitude_cm"] ** 2 for one in told))
+    period_h, amplitude_cm = told[-1]["period_h"], told[-1]["amplitude_cm"]  # the last one takes the others' place
     return Swing(period_h, amplitude_cm, coherence_h, 0.0, (period_h, period_h), (amplitude_cm, amplitude_cm))
 
 

@@ -1,4 +1,4 @@
-"""Which run to make next: the light schedule under which the causes that are still possible part the most.
+"""Which run to make next, and how well each light schedule would part the causes that are still possible.
 
 For each cause that may still be, and each schedule that a rig can run, it is worked out what a further run would be
 like: a typical plant, the cause as strong as it was found. What another cause would lose on that run, with the plant

@@ -9,7 +9,6 @@ are tried, and the price of having looked at so many is paid.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -223,11 +222,6 @@ def best_swing(
 def power_of(swing: Swing, own: Spectrum) -> Array:
     """Power that is expected of a swing at the frequencies of a spectrum, cm^2 h, shape (n,)."""
     return np.asarray(swing.amplitude_cm**2 * _line(own, np.array([1.0 / swing.period_h]), swing.coherence_h)[0])
-
-
-def is_same_period(one_h: float, other_h: float) -> bool:
-    """Whether two periods cannot be told apart by what swings about them."""
-    return abs(math.log(one_h / other_h)) < _ABOUT
 
 
 def _line(own: Spectrum, at: Array, coherence_h: float) -> Array:

@@ -109,7 +109,7 @@ class Trials:
         tried = [self._in_gusts(joint, before, one) if one.effect is draught.EFFECT else one for one in tried]
         tried.sort(key=lambda t: -t.gain)
         beside: tuple[Joint, Found] | None = None
-        if swing is None:
+        if swing is None and self.known.swing is None:
             own = self.swing(before)
             if own.gain > 0.0 and own.swing is not None:
                 swinging = self.joint(own.swing)
@@ -137,9 +137,7 @@ class Trials:
         left, expected = zip(*fast, strict=True)
         swing = rhythm.best_swing(left, expected, [scene.sideways for scene in self.scenes])
         usual = float(np.mean(np.maximum(np.sort(self.known.swing_evidence)[:-1], 0.0))) * len(self.scenes)
-        own = self.known.swing
-        is_news = own is None or not rhythm.is_same_period(swing.period_h, own.period_h)
-        gain = swing.evidence - usual if is_news and rhythm.is_plausible(swing) else 0.0
+        gain = swing.evidence - usual if rhythm.is_plausible(swing) else 0.0
         return Tried(BY_NAME[SWING], gain, None, swing)
 
     def answer(self, found: Found, gusts: Gusts) -> None:

@@ -135,9 +135,6 @@ def start_from(
     if stored_base.is_known(stored):
         read = RodSimulator.from_stored(stored)
         known = stored_base.read_known(stored)
-        swing = swing_of(read.extensions, read.noise.nutation_coherence_h)
-        if swing is not None:
-            known = with_swing(known, swing)
         words = ", and extended with ".join(
             [f"{simulator.name}, learned from {counted(known.base.runs, 'run')}", *(e.effect for e in read.extensions)]
         )
@@ -158,6 +155,13 @@ def _learned(told: Runs, source: str, words: str, stage: OnStage) -> Start:
     step = stage("learning from the reference", ROUNDS)
     simulator, known, provenance = learned_base(told, source, step)
     return Start(simulator, known, simulator.usual_temperature_c, provenance, words, is_new=True)
+
+
+def known_of(start: Start) -> Knowledge:
+    """What is known of the plants, their own swing included: of that the simulator's folder holds no more than its
+    name."""
+    swing = swing_of(start.simulator.extensions, start.simulator.noise.nutation_coherence_h)
+    return start.known if swing is None else with_swing(start.known, swing)
 
 
 def diagnose(
@@ -185,14 +189,14 @@ def diagnose(
     for text in notes:
         note(text)
     start = start_from(runs, further, stored, reference, stage)
-    terms = start.simulator.terms
+    terms, known = start.simulator.terms, known_of(start)
     scenes = runs.scenes(start.usual_c, terms)
     with one_blas_thread():
-        explainer = Explainer(scenes, start.known, lambda causes: stage("looking for causes", causes))
+        explainer = Explainer(scenes, known, lambda causes: stage("looking for causes", causes))
         explanation = explainer.explain()
         left_out = clocks.left_out(scenes, explainer.scenes)
         scenes = list(explainer.scenes)
-        left = left_of(explanation, start.known)
+        left = left_of(explanation, known)
         causes = named(explanation, left)
         if runs.knocked:
             causes = beside_a_knock(causes)
@@ -201,18 +205,18 @@ def diagnose(
         if beside is not None:
             faults = still_wrong(faults, beside, runs.measured)
         mended = _mended(start, faults, runs, further)
-        said, tables = residuals_of(scenes, start.known.base, explanation.null, start.known.residuals)
-        extended_tables = _extended(scenes, start.known, explanation)
+        said, tables = residuals_of(scenes, known.base, explanation.null, known.residuals)
+        extended_tables = _extended(scenes, known, explanation)
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c, terms) if further else []
-        gain = measure_gain(scenes, start.known.base, explanation, held_out, step)
+        gain = measure_gain(scenes, known.base, explanation, held_out, step)
         learned = _learned_gain(start, mended, explanation, runs, further)
-        asked = next_experiment(scenes, start.known.base, explanation, start.known.errors, start.known.swing)
+        asked = next_experiment(scenes, known.base, explanation, known.errors, known.swing)
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
         verdict=verdict_of(causes, left, bool(runs.knocked)),
         causes=causes,
-        residuals=_with_left(said, left, explanation, start.known),
+        residuals=_with_left(said, left, explanation, known),
         gain=gain,
         next_experiment=asked,
         summary=summary(causes, left, nearest(explanation), explanation.dropped, said.when["p_value"], runs.knocked),
@@ -225,14 +229,14 @@ def diagnose(
         base={
             "learned_from": start.learned_from,
             **({"extended_by_these_runs": again} if again else {}),
-            **_base_words(start.known),
+            **_base_words(known),
         },
         learned=learned,
     )
     extensions = extensions_of(causes[len(faults) :])
     extended = None
     if extensions:
-        moved = explanation.typical - start.known.base.mean
+        moved = explanation.typical - known.base.mean
         extended = start.simulator.with_typical(moved).extended(extensions)
     corrected = corrected_by(start, extensions, mended)
     return Result(start, diagnosis, explanation, tables, extended_tables, extended, extensions, runs, corrected, mended)

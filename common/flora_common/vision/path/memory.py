@@ -128,7 +128,8 @@ def remembered(
             known = _as_of_now(memory, state) if astray else memory
             return msgspec.structs.replace(known, doubts=count, rivals=state.rivals)
         # of a new place the length is known, but not what the old one's history says of it; nor is that of its end
-        belief, rivals = LengthState(state.length.time_s, state.measured_cm), state.rivals_alone
+        belief = LengthState(state.length.time_s, state.measured_cm)
+        rivals = state.rivals_alone if astray or outcome == JUMPED else rivals
     else:
         belief = state.length
     line = _points(np.concatenate([line_px[:-1:LINE_KEPT_EVERY], line_px[-1:]]))
