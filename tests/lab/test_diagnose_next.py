@@ -61,7 +61,7 @@ STEPS_H = STEP_S / 3600.0
 
 @pytest.mark.parametrize("schedule", CHOICE, ids=lambda schedule: schedule.name)
 def test_the_twin_reads_a_schedule_as_it_is_meant(schedule: Schedule) -> None:
-    light = parse_schedule(schedule.text)
+    light = parse_schedule(schedule.text_of(1296 * STEPS_H))
     levels = schedule.levels(1296, STEPS_H)
     told = [LEVELS[light((k + 0.5) * STEP_S)] for k in range(1296)]
     assert np.array_equal(levels, np.array(told))

@@ -5,7 +5,6 @@ Each is written as a light plan, by which ``flora-controller`` steers; ``flora-t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -38,24 +37,18 @@ class Schedule:
     turns_h: float | None = None
 
     @property
-    def text(self) -> str:
-        """As a light plan says it; see :func:`flora_common.light_schedule.parse_schedule`."""
-        if self.turns_h is not None:
-            return f"{self.turns_h:g}h"
-        return _listed(self.phases)
-
-    @property
     def words(self) -> str:
         """In a sentence."""
         return self.name if self.turns_h is None else f"turns of {self.name}"
 
     def text_of(self, hours: float) -> str:
-        """:attr:`text` of a run of so many hours: what comes later is left out, and its last light stays on."""
+        """What a light plan says of a run of so many hours, the last light stays on; see
+        :func:`flora_common.light_schedule.parse_schedule`."""
         if self.turns_h is not None:
-            return self.text
+            return f"{self.turns_h:g}h"
         begins = np.cumsum([0.0, *(length for _, length in self.phases)])
-        shines = self.phases[: int(np.searchsorted(begins, hours))]
-        return ", ".join(filter(None, (_listed(shines[:-1]), shines[-1][0])))
+        *before, last = self.phases[: int(np.searchsorted(begins, hours))]
+        return ", ".join([*(f"{light} {length:g}h" for light, length in before), last[0]])
 
     def levels(self, steps: int, step_h: float) -> Array:
         """Levels of the left and right lamp in each step, shape (steps, 2)."""
@@ -65,10 +58,6 @@ class Schedule:
             at = at % ends[-1]
         phase = np.minimum(np.searchsorted(ends, at, side="right"), len(ends) - 1)
         return np.array([LEVELS[light] for light, _ in self.phases])[phase]
-
-
-def _listed(phases: Sequence[tuple[Light, float]]) -> str:
-    return ", ".join(f"{light} {hours:g}h" for light, hours in phases)
 
 
 def turns(hours: float) -> Schedule:
