@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from flora_common.errors import BadInput
+from flora_common.open_loop import HOUR_S, OpenLoopSection, open_loop_side
 from flora_common.runs import LIGHTS, Light
 from flora_common.suggest import clipped, did_you_mean
 
@@ -33,7 +34,8 @@ def parse_schedule(text: str) -> LightSchedule:
         hours = float(alternate.group(1))
         if not 0.01 <= hours <= MOST_HOURS:
             raise BadInput(f"schedule `{told}`: alternate every 0.01 to {MOST_HOURS:g} h")
-        return lambda time_s: "left" if int(time_s // (hours * 3600.0)) % 2 == 0 else "right"
+        turns = OpenLoopSection(hours)
+        return lambda time_s: open_loop_side(time_s, turns)
     ends: list[float] = []
     lights: list[Light] = []
     end = 0.0
@@ -48,7 +50,7 @@ def parse_schedule(text: str) -> LightSchedule:
         found = next((light for light in LIGHTS if light == name), None)
         if found is None:
             raise BadInput(f"schedule `{told}`: no light `{clipped(name)}`{did_you_mean(name, LIGHTS)}")
-        end = end + float(match.group(2)) * 3600.0 if match.group(2) else float("inf")
+        end = end + float(match.group(2)) * HOUR_S if match.group(2) else float("inf")
         ends.append(end)
         lights.append(found)
     return lambda time_s: lights[min(bisect.bisect_right(ends, time_s), len(lights) - 1)]

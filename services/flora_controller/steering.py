@@ -145,7 +145,7 @@ class Planned:
         return self.read.sha256
 
     def decide(self, view: View, memory: Memory) -> Decision:
-        light, hours = self.read.light_at(max(0.0, view.time_s)), self.read.plan.hours
+        light, hours = self.read.light_at(view.time_s), self.read.plan.hours
         over = f"the light plan's {hours:g} h have passed" if view.time_s >= hours * HOUR_S else ""
         return Decision(light, float(light == "right"), f"light plan: {light}", over=over)
 

@@ -28,7 +28,7 @@ from flora_lab.diagnose import folder, work
 from flora_lab.diagnose.diagnosis import Diagnosis
 from flora_lab.diagnose.inputs import read_runs
 from flora_lab.diagnose.stored_base import write_known
-from flora_lab.diagnose.work import known_of, start_from
+from flora_lab.diagnose.work import knowledge_of, start_from
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.main import main
 from flora_lab.run_tracks import load_run
@@ -302,13 +302,13 @@ def test_a_simulator_with_a_swing_of_its_own_is_started_from(diagnosed: Path, ru
     (swinging / "simulator.toml").write_text(tomli_w.dumps(table))
     given = read_runs(measured(runs), lambda _: None)
     start = start_from(given, None, read_stored(swinging), None, lambda *_: pytest.fail("began to learn"))
-    known = known_of(start)
+    known = knowledge_of(start)
     assert known.swing is not None
     assert (known.swing.period_h, known.swing.amplitude_cm) == (1.6, pytest.approx(0.6))
     # what is written beside it is not swung once more when it is read again
     write_known(tmp_path / "again.simulator", start.simulator, start.known, start.provenance)
     again = start_from(given, None, read_stored(tmp_path / "again.simulator"), None, lambda *_: pytest.fail("learned"))
-    assert known_of(again).swings.power == pytest.approx(known.swings.power)
+    assert knowledge_of(again).swings.power == pytest.approx(known.swings.power)
     assert start.learned_from.endswith(", and extended with circumnutation")
 
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from flora_common.arrays import FloatArray
 from flora_common.counted import counted
-from flora_lab.diagnose.diagnosis import END, HORIZONS_H
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.gain import without_each
 from flora_lab.diagnose.joint import Found
-from flora_lab.diagnose.mended_simulator import BASE, MEAN, STILL, free_stems, tip_errors_mm
+from flora_lab.diagnose.mended_simulator import BASE, STILL, error_table_mm, free_stems, still_stems
 from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.rod_simulator import RodSimulator
@@ -45,10 +42,7 @@ def corrected_gain(
     if not _extensions(explanation.found) or not (holdout or len(runs) > 1):
         return {}
     judged = list(holdout or runs)
-    stems = {
-        BASE: free_stems(learned, judged),
-        STILL: [np.repeat(run.points_cm[:1], len(run), axis=0) for run in judged],
-    }
+    stems = {BASE: free_stems(learned, judged), STILL: still_stems(judged)}
     if holdout:
         whole = CorrectedSimulator(learned, mechanistic.extended(_extensions(explanation.found)))
         stems[CORRECTED] = free_stems(whole, judged)
@@ -56,10 +50,7 @@ def corrected_gain(
     else:
         stems[CORRECTED] = _each_by_others(learned, mechanistic, explanation, judged)
         judged_on = f"each of {len(runs)} runs, by what the others tell"
-    errors = {name: tip_errors_mm(own, judged) for name, own in stems.items()}
-    times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
-    table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
-    return {"tip_error_mm": {when: row for when, row in table.items() if row}, "judged_on": judged_on}
+    return {"tip_error_mm": error_table_mm(stems, judged), "judged_on": judged_on}
 
 
 def _each_by_others(

@@ -9,7 +9,7 @@ Beside it stands the same regression without the traces of light: what it gains 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -103,17 +103,14 @@ def mended(
         makers[MEMORY] = lambda rest: with_memory(clock_of(rest), rest, ridge)
     judged = tuple(holdout or runs)
     stems = {name: _simulated(make, runs, holdout) for name, make in makers.items()}
-    stems[STILL] = [np.repeat(run.points_cm[:1], len(run), axis=0) for run in judged]
-    errors = {name: tip_errors_mm(own, judged) for name, own in stems.items()}
-    times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
-    table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
+    stems[STILL] = still_stems(judged)
     if holdout:
         judged_on = f"{counted(len(holdout), 'run')} held out"
     elif len(runs) > 1:
         judged_on = f"each of {len(runs)} runs, by what the others tell"
     else:
         judged_on = "the very run that it was mended by, which makes the figures too good"
-    return Mended(simulator, {when: row for when, row in table.items() if row}, judged_on, ridge, judged, stems)
+    return Mended(simulator, error_table_mm(stems, judged), judged_on, ridge, judged, stems)
 
 
 def with_memory(
@@ -164,7 +161,7 @@ def _best_ridge(clocked: RememberingSimulator, runs: Sequence[MeasuredRun]) -> f
     """The penalty with which runs are followed best, see :func:`_simulated`; None where all are worse than none."""
 
     def off_mm(make: Maker) -> float:
-        off = tip_errors_mm(_simulated(make, runs, ()), runs)[MEAN]
+        off = _errors_mm(_simulated(make, runs, ()), runs)[MEAN]
         return off if np.isfinite(off) else np.inf
 
     def off_with(ridge: float) -> float:
@@ -197,7 +194,27 @@ def free_stems(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[F
     return stems
 
 
-def tip_errors_mm(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dict[str, float]:
+def still_stems(runs: Sequence[MeasuredRun]) -> list[FloatArray]:
+    """The first stem of each run, which stays, shape (n, 10, 2)."""
+    return [np.repeat(run.points_cm[:1], len(run), axis=0) for run in runs]
+
+
+def error_table_mm(
+    stems: Mapping[str, Sequence[FloatArray]], runs: Sequence[MeasuredRun]
+) -> dict[str, dict[str, float]]:
+    """Time ("1h", ..., "end", "mean") to name of a simulator to the median over runs of its tip error.
+
+    Args:
+        stems: by name of a simulator, of each run, shape (n, 10, 2).
+        runs: measured.
+    """
+    errors = {name: _errors_mm(own, runs) for name, own in stems.items()}
+    times = [*(f"{hours:g}h" for hours in HORIZONS_H), END, MEAN]
+    table = {when: {name: own[when] for name, own in errors.items() if when in own} for when in times}
+    return {when: row for when, row in table.items() if row}
+
+
+def _errors_mm(simulated: Sequence[FloatArray], runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Median over runs of the tip error about each time, mm."""
     at: dict[str, list[float]] = {}
     for stems, run in zip(simulated, runs, strict=True):

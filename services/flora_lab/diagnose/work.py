@@ -157,7 +157,7 @@ def _learned(told: Runs, source: str, words: str, stage: OnStage) -> Start:
     return Start(simulator, known, simulator.usual_temperature_c, provenance, words, is_new=True)
 
 
-def known_of(start: Start) -> Knowledge:
+def knowledge_of(start: Start) -> Knowledge:
     """What is known of the plants, their own swing included: of that the simulator's folder holds no more than its
     name."""
     swing = swing_of(start.simulator.extensions, start.simulator.noise.nutation_coherence_h)
@@ -189,7 +189,7 @@ def diagnose(
     for text in notes:
         note(text)
     start = start_from(runs, further, stored, reference, stage)
-    terms, known = start.simulator.terms, known_of(start)
+    terms, known = start.simulator.terms, knowledge_of(start)
     scenes = runs.scenes(start.usual_c, terms)
     with one_blas_thread():
         explainer = Explainer(scenes, known, lambda causes: stage("looking for causes", causes))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 from flora_common.arrays import Float32Array
 from flora_common.runs import CameraSection
@@ -13,8 +13,6 @@ from flora_common.vision.path.evidence import Evidence
 from flora_common.vision.path.guide import Way
 from flora_common.vision.path.likeness import Likeness
 from flora_common.vision.path.strands import Strands, find_strands
-
-_WORKED_OUT: Final = ("strands", "touching_cm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +40,8 @@ class Sight:
 
     def with_ways(self, ways: tuple[Way, ...]) -> Sight:
         """The same with other ways; what was worked out already is kept."""
-        other = replace(self, ways=ways)
-        other.__dict__.update({name: known for name, known in self.__dict__.items() if name in _WORKED_OUT})
+        other = copy(self)
+        other.__dict__["ways"] = ways  # it is frozen, and nothing that is worked out follows from them
         return other
 
     @cached_property
