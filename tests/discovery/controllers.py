@@ -34,11 +34,11 @@ from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import Extension
 
 from .cases import read_results
-from .judging import FINDER_SAG_PER_CM3, Finder, base_of, claims, judge_world
+from .judging import Finder, base_of, claims, judge_world
 from .plans import Plan, by_world, plans
 from .scoring import pooled
 from .tables import Table, as_markdown, as_text
-from .worlds.effects import SAG_PER_CM3
+from .units import as_finder_tells
 
 ACTING = (
     "adaptation",
@@ -81,10 +81,7 @@ class Setting:
 
 def true_extension(effect: Mapping[str, Any]) -> Extension:
     """A hidden effect of ``truth.json`` in the simulator's units."""
-    values = dict(effect["parameters"])
-    if effect["effect"] == "sag":
-        values["amplitude"] *= SAG_PER_CM3 / FINDER_SAG_PER_CM3
-    return Extension(effect["effect"], values)
+    return Extension(effect["effect"], as_finder_tells(effect["effect"], effect["parameters"]))
 
 
 def judge_controllers(world: Sequence[Plan], scratch: Path, setting: Setting) -> Iterator[dict[str, Any]]:

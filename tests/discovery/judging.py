@@ -15,14 +15,12 @@ from typing import Any
 from flora_common.errors import BadInput
 
 from .plans import Plan
+from .units import as_worlds_have
 from .worlds.case import Case, Hidden, draw_case, named_mm
-from .worlds.effects import SAG_PER_CM3
 from .worlds.writing import truth, write_case
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 BASE = "base.simulator"
-FINDER_SAG_PER_CM3 = 0.01
-"""What ``diagnosis.json`` calls a sag's amplitude of 1; the worlds have a unit of their own."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +140,7 @@ def claims(diagnosis: Mapping[str, Any] | None) -> list[Hidden]:
     """What a diagnosis says that is at work, in the worlds' units; nothing where it does not explain the runs."""
     if diagnosis is None or diagnosis.get("verdict") != "explained":
         return []
-    told = [Hidden(str(cause["effect"]), dict(cause["parameters"])) for cause in diagnosis["causes"]]
-    for one in told:
-        if one.name == "sag":
-            one.parameters["amplitude"] *= FINDER_SAG_PER_CM3 / SAG_PER_CM3
-    return told
+    return [
+        Hidden(str(cause["effect"]), as_worlds_have(str(cause["effect"]), cause["parameters"]))
+        for cause in diagnosis["causes"]
+    ]

@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from .units import as_finder_tells
+
 SAME: tuple[frozenset[str], ...] = (
     frozenset({"phototropic_latency", "clock_offset"}),
     frozenset({"lamp_asymmetry", "draught", "camera_roll"}),
@@ -35,9 +37,6 @@ DRAWS = 1000
 DAY_H = 24.0
 SIGN_FREE = frozenset({"angle_deg", "offset_h", "per_hour"})
 """Parameters whose direction is a matter of convention."""
-OWN_UNIT = frozenset({("sag", "amplitude")})
-"""Parameters whose unit belongs to the model that has them."""
-
 SIMULATORS = ("base", "extended", "boosted", "still")
 """Whose errors a diagnosis tells."""
 
@@ -207,8 +206,8 @@ def parameter_errors(outcomes: Sequence[Outcome]) -> list[ParameterError]:
 
 
 def _errors_of(effect: Json, cause: Json) -> Iterable[ParameterError]:
-    for name, true in effect["parameters"].items():
-        if name not in cause["parameters"] or (effect["effect"], name) in OWN_UNIT:
+    for name, true in as_finder_tells(effect["effect"], effect["parameters"]).items():
+        if name not in cause["parameters"]:
             continue
         told = float(cause["parameters"][name])
         low, high = (float(value) for value in cause.get("interval", {}).get(name, (math.nan, math.nan)))

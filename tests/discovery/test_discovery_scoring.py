@@ -114,13 +114,15 @@ def test_parameters_are_compared_in_their_own_way() -> None:
     causes = [
         cause("diurnal_growth", parameters={"amplitude": 0.5, "peak_h": 2.0}, interval={"peak_h": [-2.0, 1.0]}),
         cause("camera_roll", parameters={"angle_deg": 3.3}, interval={"angle_deg": [3.1, 3.5]}),
-        cause("sag", parameters={"amplitude": 5.0}),
+        cause("sag", parameters={"amplitude": 0.84}, interval={"amplitude": [0.8, 1.1]}),
         cause("draught", parameters={"drive_per_cm_h": 0.1}),
         cause("stiffening", parameters={"factor": 0.8}, interval={"factor": [0.7, 0.9]}),
     ]
-    errors = {e.parameter: e for e in parameter_errors([outcome("single", hidden, "explained", *causes)])}
+    of_all = parameter_errors([outcome("single", hidden, "explained", *causes)])
+    errors = {e.parameter: e for e in of_all if e.effect != "sag"}
     assert set(errors) == {"amplitude", "peak_h", "angle_deg", "factor"}
-    assert errors["amplitude"].effect == "diurnal_growth"
+    (sag,) = (e for e in of_all if e.effect == "sag")  # 0.7 of the worlds' units are 1.05 of the finder's
+    assert (sag.parameter, sag.relative, sag.held) == ("amplitude", pytest.approx(0.2), True)
     assert errors["amplitude"].relative == pytest.approx(0.25)
     assert errors["amplitude"].held is None
     assert (errors["peak_h"].relative, errors["peak_h"].held) == (pytest.approx(3.0 / 24.0), True)
