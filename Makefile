@@ -13,9 +13,10 @@ SCALE  ?= small
 CASES  ?= 400
 DRAWN  ?= 26
 PER_WORLD ?= 5
+WORLDS ?= 16
 JOBS   ?= 2
 
-.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery discovery-gain paper guide guide-ends pins clean
+.PHONY: help setup demo deploy install-rig rollback-rig wheels test test-slow test-paper test-systemd test-arm64 test-cluster lint format messages docs fuzz kill-uploader fuzz-vision bench bench-vision bench-training discovery discovery-gain discovery-simulators paper guide guide-ends pins clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z0-9-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
@@ -118,6 +119,9 @@ discovery: setup  ## hide effects in drawn runs, see whether they are named, pri
 
 discovery-gain: setup  ## what naming hidden effects is worth to controllers; an hour (DRAWN=26 SEED=1 KINDS='feedback plan' ORACLE=1)
 	@$(BIN)/python -m tests.discovery.controllers --cases $(DRAWN) --seed $(SEED) $(if $(KINDS),--kinds $(KINDS)) $(if $(ORACLE),--oracle) --results out/discovery/controllers-$(SEED)-$(DRAWN).jsonl --markdown out/discovery/controllers-$(SEED)-$(DRAWN).md
+
+discovery-simulators: setup  ## hide wrong clocks and missing memories in simulators of drawn worlds, count what is told; an hour (WORLDS=16 SEED=1 JOBS=2)
+	@$(BIN)/python -m tests.discovery.simulators --worlds $(WORLDS) --seed $(SEED) --jobs $(JOBS) --results out/discovery/simulators-$(SEED).jsonl
 
 paper: setup  ## the whole paper beside ours, in out/paper (SCALE=smoke|small|full, SEED=1); goes on where it was stopped
 	@$(BIN)/flora-lab paper --scale $(SCALE) --seed $(SEED) -o out/paper

@@ -16,12 +16,11 @@ from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.learned_simulator import faults_of, still_wrong
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
-from flora_lab.simulator.load import KINDS
+from flora_lab.simulator.load import KINDS, load
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Extension, Provenance, Stored, read_stored, write_simulator
+from flora_lab.simulator.store import Extension, Stored
 
-PROVENANCE = Provenance(recipe="test", seed=0, software="test")
 GROWTHS = (0.1, 0.12, 0.14, 0.11, 0.13)
 
 
@@ -63,24 +62,10 @@ class Forgetful(Simulator[FloatArray]):
 @pytest.fixture(autouse=True)
 def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(KINDS, "straight", "simulator_fakes:StraightPlant")
-    monkeypatch.setitem(KINDS, "forgetful", f"{__name__}:Forgetful")
 
 
 def rod() -> RodSimulator:
     return stored_base.simulator_of(base(), LAMPS, DataRange(60.0, 30.0), None)
-
-
-def stored(path: Path, simulator: Simulator[Any]) -> Stored:
-    growing = simulator if isinstance(simulator, RodSimulator) else None
-    write_simulator(
-        path,
-        kind=simulator.kind,
-        step_s=simulator.step_s,
-        weights=growing.weights() if growing else {"none": np.zeros(1)},
-        scales=growing.scales() if growing else {},
-        provenance=PROVENANCE,
-    )
-    return read_stored(path)
 
 
 def plants(count: int = 4) -> list[MeasuredRun]:
@@ -92,8 +77,8 @@ def straight(growths: tuple[float, ...] = GROWTHS) -> list[MeasuredRun]:
     return [straight_run(f"bean{i}", hours=24.0, growth_cm_h=growth) for i, growth in enumerate(growths)]
 
 
-def test_a_simulator_without_memory_is_told(tmp_path: Path) -> None:
-    faults = {fault.effect: fault for fault in faults_of(stored(tmp_path / "forgetful", Forgetful()), plants())}
+def test_a_simulator_without_memory_is_told() -> None:
+    faults = {fault.effect: fault for fault in faults_of(Forgetful(), plants())}
     fault = faults["memory"]
     assert fault.p_value < 0.01
     assert 0.5 < fault.confidence <= 1.0
@@ -104,19 +89,19 @@ def test_a_simulator_without_memory_is_told(tmp_path: Path) -> None:
     assert fault.evidence.endswith("errors in runs that the rule is not from.")
 
 
-def test_of_a_single_run_it_is_told_that_the_rule_is_from_it(tmp_path: Path) -> None:
-    faults = {fault.effect: fault for fault in faults_of(stored(tmp_path / "forgetful", Forgetful()), plants(1))}
+def test_of_a_single_run_it_is_told_that_the_rule_is_from_it() -> None:
+    faults = {fault.effect: fault for fault in faults_of(Forgetful(), plants(1))}
     assert faults["memory"].evidence.endswith("errors in the run that the rule is from.")
 
 
-def test_a_growing_simulator_remembers(tmp_path: Path) -> None:
-    faults = faults_of(stored(tmp_path / "rod", rod()), plants())
+def test_a_growing_simulator_remembers() -> None:
+    faults = faults_of(rod(), plants())
     assert [fault.effect for fault in faults] == []
 
 
 @pytest.mark.parametrize("speed", [3.0, 0.5])
 def test_a_clock_that_is_wrong_is_told_with_its_factor(tmp_path: Path, speed: float) -> None:
-    fast = read_stored(write_straight(tmp_path / "fast.simulator", speed=speed))
+    fast = load(write_straight(tmp_path / "fast.simulator", speed=speed))
     (fault,) = faults_of(fast, straight())
     assert fault.effect == "time_scale"
     assert fault.parameters["factor"] == pytest.approx(speed, rel=0.1)
@@ -128,7 +113,7 @@ def test_a_clock_that_is_wrong_is_told_with_its_factor(tmp_path: Path, speed: fl
 
 
 def test_few_plants_are_less_sure_of_a_clock(tmp_path: Path) -> None:
-    fast = read_stored(write_straight(tmp_path / "fast.simulator", speed=3.0))
+    fast = load(write_straight(tmp_path / "fast.simulator", speed=3.0))
     (few,) = faults_of(fast, straight(GROWTHS[:2]))
     (many,) = faults_of(fast, straight((*GROWTHS, 0.115, 0.125)))
     assert few.parameters["factor"] == pytest.approx(3.0, rel=0.1)
@@ -136,13 +121,13 @@ def test_few_plants_are_less_sure_of_a_clock(tmp_path: Path) -> None:
 
 
 def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:
-    assert faults_of(read_stored(write_straight(tmp_path / "right.simulator")), straight()) == []
+    assert faults_of(load(write_straight(tmp_path / "right.simulator")), straight()) == []
 
 
-def test_plants_that_grow_more_slowly_are_no_fault_of_the_clock_once_that_is_known(tmp_path: Path) -> None:
+def test_plants_that_grow_more_slowly_are_no_fault_of_the_clock_once_that_is_known() -> None:
     slower = change_of({"growth_rate": {"factor": 0.55}})
     runs = [run_of(seed, chance=QUIET, light=turns(24.0, 3.0), change=slower) for seed in range(4)]
-    faults = faults_of(stored(tmp_path / "rod", rod()), runs)
+    faults = faults_of(rod(), runs)
     assert [fault.effect for fault in faults] == ["time_scale"]
     assert still_wrong(faults, rod().extended([Extension("growth_rate", {"factor": 0.55})]), runs) == []
     assert still_wrong(faults, rod().extended([Extension("sag", {"amplitude": 0.01})]), runs) == faults

@@ -22,11 +22,10 @@ from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.rollout.intervals import LEVEL
 from flora_lab.rollout.time_scale import TimeScale, best_time_scale
 from flora_lab.simulator.interface import History, Simulator
-from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.measured import MeasuredRun
-from flora_lab.simulator.store import Stored
 
 TIME_SCALE: Final = "time_scale"
+MEMORY: Final = "memory"
 _SEED: Final = 1
 _CLEAR: Final = 1.15
 """A clock that is wrong by less is not told from individuals."""
@@ -52,9 +51,8 @@ _MEMORY_TIMES: Final = 2.0
 _SAME_CM: Final = 1e-6
 
 
-def faults_of(stored: Stored, runs: Sequence[MeasuredRun]) -> list[NamedCause]:
+def faults_of(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> list[NamedCause]:
     """What is wrong with a learned simulator as a whole, as measured runs tell; nothing where it is right."""
-    simulator = simulator_of(stored)
     found = [_clock(simulator, runs), _memory(simulator, runs)]
     return [fault for fault in found if fault is not None]
 
@@ -131,7 +129,7 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
     hours = float(np.median([_lasting_h(e, run.step_s) for e, run in zip(errors, runs, strict=True)]))
     where = "runs that the rule is not from" if len(runs) > 1 else "the run that the rule is from"
     return NamedCause(
-        effect="memory",
+        effect=MEMORY,
         parameters={"time_constant_h": hours},
         interval={"time_constant_h": (hours / _MEMORY_TIMES, hours * _MEMORY_TIMES)},
         confidence=_SURE_OF_MEMORY,

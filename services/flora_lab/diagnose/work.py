@@ -200,7 +200,7 @@ def diagnose(
         causes = named(explanation, left)
         if runs.knocked:
             causes = beside_a_knock(causes)
-        faults = faults_of(start.judged, runs.measured) if start.judged is not None else []
+        faults = faults_of(simulator_of(start.judged), runs.measured) if start.judged is not None else []
         beside = corrected_by(start, extensions_of(causes), None)
         if beside is not None:
             faults = still_wrong(faults, beside, runs.measured)
