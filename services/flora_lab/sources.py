@@ -34,7 +34,7 @@ FILM_SUFFIXES: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
-    """A photograph in a file of its own; may be decoded in any process.
+    """A photograph in a file of its own; may be decoded in any thread.
 
     Attributes:
         sha256: of the file when the photograph was taken; None where nobody has noted it.
@@ -88,7 +88,7 @@ class Frame:
         index: place in the whole sequence, from 0.
         name: for messages and file names.
         time_s: from ``frames.csv``; None where the source does not know.
-        picture: decodes it, here or in another process.
+        picture: decodes it, in any thread.
         covariates: from ``frames.csv``.
     """
 

@@ -14,7 +14,11 @@ import numpy as np
 import pytest
 
 from drawn_run import SIZE, make_run, picture, stem_cm, sway
+from flora_common.runs import RunFolder
 from flora_common.tracks import read_track
+from flora_common.vision.lamp_states import from_background
+from flora_common.vision.path.tracker import PathTracker
+from flora_common.vision.picture import decode_picture
 from flora_lab import sources
 from flora_lab.main import main
 
@@ -75,6 +79,26 @@ def test_path_is_the_default_and_adds_numeric_columns(tmp_path: Path) -> None:
     assert np.all((covariates["quality"] > 0.3) & (covariates["quality"] <= 1.0))
     assert np.all((covariates["tip_uncertainty_mm"] > 0.0) & (covariates["tip_uncertainty_mm"] < 10.0))
     assert list(read_track(tmp_path / "c.csv").covariates) == ["temperature_c"]
+
+
+def test_a_track_is_what_the_rig_measures(tmp_path: Path) -> None:
+    """Near where the stem was, too, which pictures that are looked at one by one do not tell."""
+    run, out = make_run(tmp_path / "run", 24), tmp_path / "track.csv"
+    assert main(["track", str(run), "-o", str(out), "-q", "--jobs", "2"]) == 0
+    track = read_track(out)
+
+    def decoded(path: Path) -> np.ndarray:
+        return decode_picture(path.read_bytes(), where=path.name)
+
+    empty = [decoded(path) for path in sorted((run / "background").iterdir())]
+    camera = RunFolder(run).read_run_file().camera
+    rig, whole = (PathTracker(from_background(empty), camera) for _ in range(2))
+    pictures = [decoded(path) for path in sorted((run / "frames").iterdir())]
+    measured = [rig.read(picture, 300.0 * i).points_cm for i, picture in enumerate(pictures)]
+    found = np.stack([points for points in measured if points is not None])
+    assert found == pytest.approx(track.points_cm, abs=1e-3)
+    one_by_one = [whole.follow(whole.look(picture), 300.0 * i).points_cm for i, picture in enumerate(pictures)]
+    assert np.abs(found - np.stack([points for points in one_by_one if points is not None])).max() > 1e-3
 
 
 def test_points_along_the_stem_differ_from_points_by_height(tmp_path: Path) -> None:
@@ -333,7 +357,7 @@ def test_an_error_midway_leaves_only_what_it_can_go_on_from(
 
     monkeypatch.setattr(sources.RunSource, "frames", broken)
     before = sorted(tmp_path.iterdir())
-    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--overlays", str(tmp_path / "seen")]
+    command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--overlays", str(tmp_path / "seen"), "--jobs", "1"]
     assert main(command) == 130
     assert "8 of 12 frames are kept" in capfd.readouterr().err
     assert sorted(tmp_path.iterdir()) == sorted([*before, tmp_path / ".t.csv.part"])

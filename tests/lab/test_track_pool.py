@@ -1,9 +1,8 @@
-"""Work in several processes: in order, bounded, and gone when it should be."""
+"""Work in several threads: in order, bounded, at the same time, and over when it should be."""
 
 from __future__ import annotations
 
-import os
-import signal
+import threading
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -12,8 +11,8 @@ import cv2
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from flora_common.errors import BadPicture, FloraError
-from flora_lab.track.pool import WAITING_PER_WORKER, Pool
+from flora_common.errors import BadPicture
+from flora_lab.track.pool import WAITING_PER_THREAD, Pool
 
 
 def slow_square(number: int) -> int:
@@ -24,8 +23,6 @@ def slow_square(number: int) -> int:
 def picky(number: int) -> int:
     if number == 3:
         raise BadPicture("three is torn")
-    if number == 4:
-        raise ZeroDivisionError("four")
     return number
 
 
@@ -35,11 +32,6 @@ def blas_threads(_: int) -> int:
 
 def cv2_threads(_: int) -> int:
     return cv2.getNumThreads()
-
-
-def deadly(number: int) -> int:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return number
 
 
 def test_results_come_in_order_and_few_wait() -> None:
@@ -54,32 +46,53 @@ def test_results_come_in_order_and_few_wait() -> None:
     with Pool(2) as pool:
         for given, result in enumerate(pool.map(slow_square, tasks())):
             assert result == given * given
-            assert taken - given <= WAITING_PER_WORKER * 2
+            assert taken - given <= WAITING_PER_THREAD * 2
         assert taken == 40
-        assert list(pool.map(partial(pow, 2), range(10))) == [2**n for n in range(10)]  # other work, same workers
+        assert list(pool.map(partial(pow, 2), range(10))) == [2**n for n in range(10)]  # other work, same threads
         assert list(pool.map(slow_square, [])) == []
 
 
-def test_what_work_raises_is_raised_here() -> None:
-    for jobs in (1, 2):
-        with Pool(jobs) as pool:
-            results = pool.map(picky, range(5))
-            assert [next(results) for _ in range(3)] == [0, 1, 2]
-            with pytest.raises(BadPicture, match="three is torn"):
-                next(results)
-    with Pool(2) as pool, pytest.raises(ZeroDivisionError) as raised:
-        list(pool.map(picky, [4, 4]))
-    assert "in picky" in "".join(raised.value.__notes__)
-
-
-def test_a_worker_that_is_killed_is_told() -> None:
-    with Pool(2) as pool, pytest.raises(FloraError, match=r"ended with status -9; .*fewer --jobs"):
-        list(pool.map(deadly, range(5)))
+def test_as_many_pictures_are_looked_at_at_once_as_there_are_threads() -> None:
+    met = threading.Barrier(3, timeout=10.0)
+    with Pool(3) as pool:
+        assert sorted(pool.map(lambda _: met.wait(), range(3))) == [0, 1, 2]
+    with Pool(1) as pool:
+        assert list(pool.map(lambda _: threading.current_thread(), [0])) == [threading.main_thread()]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_each_process_takes_one_core(jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_work_raises_is_raised_here(jobs: int) -> None:
+    with Pool(jobs) as pool:
+        results = pool.map(picky, range(5))
+        assert [next(results) for _ in range(3)] == [0, 1, 2]
+        with pytest.raises(BadPicture, match="three is torn"):
+            next(results)
+
+
+def test_at_its_end_nothing_waits_to_be_begun_and_no_thread_is_left() -> None:
+    begun: list[int] = []
+
+    def work(number: int) -> int:
+        begun.append(number)
+        time.sleep(0.05)
+        return number
+
+    before = threading.active_count()
+    with Pool(2) as pool:
+        assert next(pool.map(work, range(100))) == 0
+    assert threading.active_count() == before
+    assert len(begun) < WAITING_PER_THREAD * 2
+    time.sleep(0.1)
+    assert len(begun) < WAITING_PER_THREAD * 2
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_thread_takes_one_core(jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
-    with threadpool_limits(limits=2, user_api="blas"), Pool(jobs) as pool:
-        assert list(pool.map(blas_threads, range(3))) == [1, 1, 1]
-        assert set(pool.map(cv2_threads, range(3))) == {1}
+    before = cv2.getNumThreads()
+    with threadpool_limits(limits=2, user_api="blas"):
+        with Pool(jobs) as pool:
+            assert list(pool.map(blas_threads, range(3))) == [1, 1, 1]
+            assert set(pool.map(cv2_threads, range(3))) == {1}
+        assert blas_threads(0) == 2
+    assert cv2.getNumThreads() == before

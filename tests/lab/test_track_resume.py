@@ -1,4 +1,4 @@
-"""``flora-lab track`` in several processes, interrupted and killed: the track is the same to the last byte."""
+"""``flora-lab track`` in several threads, interrupted and killed: the track is the same to the last byte."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from folders import same_folders
 COMMAND = """
 import os, signal, sys
 from flora_lab.main import main
-from flora_lab.track import part_file, pool
+from flora_lab.track import part_file
 
 add = part_file.PartFile.add
 
@@ -47,20 +47,6 @@ def keep_and_strike(self, kind, reading, picture):
 pictures.Pictures._keep = keep_and_strike
 sys.exit(main(sys.argv[1:]))
 """
-START = """
-import os, signal, sys
-from flora_lab.main import main
-from flora_lab import worker_process
-
-start = worker_process.Worker.__init__
-
-def start_and_interrupt(self, prepare):
-    start(self, prepare)
-    os.killpg(0, signal.SIGINT)
-
-worker_process.Worker.__init__ = start_and_interrupt
-sys.exit(main(sys.argv[1:]))
-"""
 
 
 def run_in_process(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -70,7 +56,7 @@ def run_in_process(code: str, *arguments: str) -> subprocess.CompletedProcess[st
 
 
 @pytest.mark.parametrize("method", ["path", "paper"])
-def test_any_number_of_processes_gives_the_same(method: str, tmp_path: Path) -> None:
+def test_any_number_of_threads_gives_the_same(method: str, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", 24, torn=(5,))
     for jobs in ("1", "3"):
         options = ["--jobs", jobs, "--overlays", str(tmp_path / f"seen{jobs}"), "--every", "7", "--method", method]
@@ -103,7 +89,7 @@ def test_killed_and_started_again_gives_the_same(
     assert not part.exists()
 
 
-def test_interrupted_ends_with_its_workers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_ends_with_its_threads(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path / "run", 24)
     command = ["track", str(run), "-o", str(tmp_path / "t.csv"), "--jobs", "2"]
     ended = run_in_process(COMMAND.format(strike="os.killpg(0, signal.SIGINT)"), *command)
@@ -144,14 +130,6 @@ def test_ended_while_it_draws_leaves_nothing_for_ever(
     assert main(command) == 0
     assert "going on after 10 of 10 frames" in capfd.readouterr().err
     assert sorted(p.name for p in made.iterdir()) == ["f.avi", "s.png", "seen", "t.csv"]
-
-
-def test_interrupted_while_workers_start(tmp_path: Path) -> None:
-    run = make_run(tmp_path / "run", 10)
-    ended = run_in_process(START, "track", str(run), "-o", str(tmp_path / "t.csv"), "--jobs", "2")
-    assert ended.returncode == 130
-    assert ended.stderr.strip() == "flora-lab: interrupted"
-    assert [p.name for p in tmp_path.iterdir()] == ["run"]
 
 
 def interrupted_after(frames: int, monkeypatch: pytest.MonkeyPatch, command: list[str]) -> None:

@@ -106,6 +106,10 @@ def test_looks_may_be_made_in_any_order() -> None:
     apart = [one.follow(sights[k], 300.0 * k) for k in range(4)]
     in_turn = [two.follow(two.look(photograph(lines[k], k)), 300.0 * k) for k in range(4)]
     assert all(same(a, b) for a, b in zip(apart, in_turn, strict=True))
+    one.memory = None
+    glances = {k: one.glance(photograph(lines[k], k)) for k in (3, 1, 0, 2)}
+    apart = [one.read_on(glances[k], 300.0 * k) for k in range(4)]
+    assert all(same(a, b) for a, b in zip(apart, read_all(tracker(), lines), strict=True))
 
 
 def test_points_are_even_in_height_or_along_the_stem() -> None:

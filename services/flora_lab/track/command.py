@@ -124,7 +124,7 @@ def track(
     silent = quiet or as_json
     with (
         sigterm_ends(),
-        Pool(options.jobs_of(jobs, count, source.size_px)) as pool,
+        Pool(options.jobs_of(jobs, count)) as pool,
         PartFile(output, work, span.indices(source.count), fresh=not resume) as part,
         _kept_told(part, count, silent=silent),
         screen.progress(silent) as stage,

@@ -1,4 +1,4 @@
-"""One photograph with what was found in it drawn over: can be done in any process."""
+"""One photograph with what was found in it drawn over: can be done in any thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two ways to find a stem behind one face: look at pictures anywhere and in any order, follow them in order."""
+"""The two ways to find a stem behind one face: look at pictures in any thread and order, follow them in turn."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.path.memory import Memory
 from flora_common.vision.path.settings import PathSettings
-from flora_common.vision.path.sight import Sight
-from flora_common.vision.path.tracker import PathTracker
+from flora_common.vision.path.tracker import Glance, PathTracker
 from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.reading import StemReading
 from flora_common.vision.setup import SetupMatrices
 
 
 class Look(Protocol):
-    """The part of a method that needs no other pictures; can be sent to another process."""
+    """The part of a method that needs no other pictures; may be called in several threads at once."""
 
     @property
     def reduction(self) -> Reduction:
@@ -50,31 +49,26 @@ class Method(Protocol):
 
 
 class PathLook:
-    """The stateless part of the path method; what a copy in another process needs is made anew there."""
+    """What the path method finds in a picture without regard to others."""
 
-    def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
-        self._made_of = (setup, camera, settings)
-        self.tracker = PathTracker(setup, camera, settings)
-        self.reduction: Reduction = self.tracker.seen.reduction
+    def __init__(self, tracker: PathTracker) -> None:
+        self._tracker = tracker
+        self.reduction: Reduction = tracker.seen.reduction
 
-    def __reduce__(self) -> tuple[type[PathLook], tuple[EmptySetup, CameraSection, PathSettings]]:
-        return PathLook, self._made_of
-
-    def __call__(self, picture: Picture) -> Sight:
-        return self.tracker.look(picture)
+    def __call__(self, picture: Picture) -> Glance:
+        return self._tracker.glance(picture)
 
 
 class PathMethod:
-    """The path method.
+    """The path method, as the rig has it: what a quarter of the size shows is found in any order, the stem in turn.
 
     Raises:
         BadInput: setup and camera disagree, or no pixel is left in the window.
     """
 
     def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
-        look = PathLook(setup, camera, settings)
-        self.look: Look = look
-        self._tracker = look.tracker
+        self._tracker = PathTracker(setup, camera, settings)
+        self.look: Look = PathLook(self._tracker)
 
     @property
     def memory(self) -> object:
@@ -84,8 +78,8 @@ class PathMethod:
     def memory(self, stored: object) -> None:
         self._tracker.memory = None if stored is None else msgspec.convert(stored, Memory)
 
-    def follow(self, sight: Sight, light: Light, time_s: float) -> StemReading:
-        return self._tracker.follow(sight, time_s)
+    def follow(self, sight: Glance, light: Light, time_s: float) -> StemReading:
+        return self._tracker.read_on(sight, time_s)
 
 
 @dataclass(frozen=True, slots=True)

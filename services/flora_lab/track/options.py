@@ -27,8 +27,6 @@ INTERVAL_S: Final = 300.0
 LIGHT_RULE: Final = "auto"
 PAPER_SAMPLING_PX: Final = 410
 """Width at which the published method looks at pictures: 1/8 of 3280 px."""
-SMALL_WORK_PX: Final = 200e6
-"""Pixels in all frames together up to which starting other processes takes longer than they save."""
 
 
 class MethodName(enum.StrEnum):
@@ -55,7 +53,7 @@ OutputOption = Annotated[Path, typer.Option("-o", "--output", help="The track to
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite an existing track, contact sheet or film.")]
 MethodOption = Annotated[MethodName, typer.Option(help="How the stem is found: our own way, or as published.")]
 JobsOption = Annotated[
-    int | None, typer.Option(min=1, max=256, help="Processes that look at pictures.", show_default="one per core")
+    int | None, typer.Option(min=1, max=256, help="Threads that look at pictures.", show_default="one per core")
 ]
 ResumeOption = Annotated[
     bool, typer.Option("--resume/--no-resume", help="Go on where the same command was killed, or begin anew.")
@@ -274,13 +272,9 @@ def span_of(text: str) -> Span:
     return Span(int(found[1] or 0), int(found[2]) if found[2] else None)
 
 
-def jobs_of(given: int | None, frames: int, size_px: tuple[int, int]) -> int:
-    """How many processes: as given; else one per core, but none beside this one where there is little to do."""
-    if given is not None:
-        return given
-    if frames * size_px[0] * size_px[1] < SMALL_WORK_PX:
-        return 1
-    return min(len(os.sched_getaffinity(0)), frames)
+def jobs_of(given: int | None, frames: int) -> int:
+    """How many threads: as given; else one per core, as far as there are frames for them."""
+    return given if given is not None else min(len(os.sched_getaffinity(0)), frames)
 
 
 def numbers(text: str, count: int, option: str) -> list[float]:

@@ -1,99 +1,70 @@
-"""Work on many pictures in several processes, with the results in order.
+"""Work on many pictures in several threads, with the results in order.
 
-Only a bounded number of results waits for its turn.
+Threads, not processes: OpenCV and numpy let others go on while they work, and what a photograph shows is ten megabytes,
+which take longer through a pipe than to be found. Only a bounded number of results waits for its turn.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing import connection
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
-from flora_lab.threads import on_one_core, one_core
-from flora_lab.worker_process import Worker, start_workers
+from flora_lab.threads import on_one_core
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-WAITING_PER_WORKER: Final = 3
-"""Tasks handed out and results not yet taken, per worker."""
+WAITING_PER_THREAD: Final = 3
+"""Tasks handed out and results not yet taken, per thread."""
 
 
 class Pool:
-    """Maps work over tasks; a context manager, at whose end the workers are gone.
+    """Maps work over tasks; a context manager, at whose end the threads are gone.
 
     Args:
-        jobs: how many processes; with 1 the work is done in this one.
+        jobs: how many threads; with 1 the work is done in the caller's. OpenCV and products of matrices use one core in
+            each, and in the caller's too.
     """
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._workers: list[Worker] = []
+        self._threads: ThreadPoolExecutor | None = None
+        self._held = contextlib.ExitStack()
 
     def __enter__(self) -> Pool:
+        with contextlib.ExitStack() as held:
+            held.enter_context(on_one_core())
+            if self.jobs > 1:
+                self._threads = ThreadPoolExecutor(self.jobs, thread_name_prefix="look")
+                held.callback(self._threads.shutdown, cancel_futures=True)
+            self._held = held.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for worker in self._workers:
-            worker.end()
-        self._workers.clear()
+        self._held.close()
 
     def map(self, work: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """``work(task)`` for each task, in the order of the tasks, which are taken as they are needed.
 
+        What ``work`` raises is raised here too.
+
         Args:
-            work: can be pickled; every worker gets one copy.
-            tasks: can be pickled.
-
-        Raises:
-            WorkerLost: a worker is gone. What ``work`` raises is raised here too.
+            work: may be called in several threads at once.
+            tasks: what it is called with.
         """
-        if self.jobs == 1:
-            with on_one_core():
-                yield from map(work, tasks)
+        if self._threads is None:
+            yield from map(work, tasks)
             return
-        if not self._workers:
-            start_workers(self._workers, self.jobs, one_core)
-        for worker in self._workers:
-            worker.employ(work)
-        yield from self._in_order(iter(tasks))
-
-    def _in_order(self, tasks: Iterator[Any]) -> Iterator[Any]:
-        most = WAITING_PER_WORKER * self.jobs
-        idle = list(self._workers)
-        busy: dict[object, tuple[Worker, int]] = {}
-        done: dict[int, tuple[bool, Any]] = {}
-        handed_out = taken = 0
-        more = True
-        while True:
-            while more and idle and handed_out - taken < most:
-                try:
-                    task = next(tasks)
-                except StopIteration:
-                    more = False
-                    break
-                worker = idle.pop()
-                worker.send(task)
-                busy[worker.pipe] = worker, handed_out
-                handed_out += 1
-            if not busy and taken == handed_out:
-                return
-            # where a result can go out, those that are ready are taken in first, so that nobody waits for work
-            ready = (
-                connection.wait([worker.pipe for worker, _ in busy.values()], 0 if taken in done else None)
-                if busy
-                else []
-            )
-            for pipe in ready:
-                worker, number = busy.pop(pipe)
-                done[number] = worker.receive()
-                idle.append(worker)
-            if taken in done and (not more or not idle or handed_out - taken >= most):
-                fine, result = done.pop(taken)
-                if not fine:
-                    raise result
-                taken += 1
-                yield result
+        waiting: deque[Future[Result]] = deque()
+        for task in tasks:
+            waiting.append(self._threads.submit(work, task))
+            if len(waiting) >= WAITING_PER_THREAD * self.jobs:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

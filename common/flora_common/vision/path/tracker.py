@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -64,6 +64,14 @@ EDGE_CM: Final = 0.2
 """A tip as near to the edge of the window as this lies on it."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Glance:
+    """What a picture shows at a quarter of its size, and how much of it is like the empty setup."""
+
+    survey: Survey
+    likeness: Likeness
+
+
 class PathTracker:
     """Finds the stem in each of a sequence of pictures.
 
@@ -112,25 +120,31 @@ class PathTracker:
         Raises:
             BadPicture: not an 8-bit colour picture of that size. The memory is unchanged.
         """
-        survey, likeness = self._surveyed(picture)
-        return self._near(survey, likeness, time_s) or self.follow(self._sight(survey, likeness), time_s)
+        return self.read_on(self.glance(picture), time_s)
 
-    def look(self, picture: Picture) -> Sight:
-        """What the whole picture shows; the larger part of the work, and the same in whatever order pictures come.
+    def glance(self, picture: Picture) -> Glance:
+        """The first part of reading a picture, which is the same in whatever order pictures come.
 
         Raises:
-            BadPicture: not an 8-bit colour picture of the size that :meth:`read` wants.
+            BadPicture: as :meth:`read`.
         """
-        sight = self._sight(*self._surveyed(picture))
-        if sight.ways and not along_way.is_believed(sight.ways[0], is_first=True):
-            _ = sight.strands  # they will be asked for, and pictures may be looked at in many processes
-        return sight
-
-    def _surveyed(self, picture: Picture) -> tuple[Survey, Likeness]:
         survey = self._finder.survey(picture)
-        return survey, self._likeness.of(survey) if self._likeness is not None else Likeness()
+        return Glance(survey, self._likeness.of(survey) if self._likeness is not None else Likeness())
 
-    def _sight(self, survey: Survey, likeness: Likeness) -> Sight:
+    def read_on(self, glance: Glance, time_s: float) -> StemReading:
+        """The rest of it, in order."""
+        return self._near(glance, time_s) or self.follow(self._sight(glance), time_s)
+
+    def look(self, picture: Picture) -> Sight:
+        """What the whole picture shows, the same in whatever order pictures come.
+
+        Raises:
+            BadPicture: as :meth:`read`.
+        """
+        return self._sight(self.glance(picture))
+
+    def _sight(self, glance: Glance) -> Sight:
+        survey, likeness = glance.survey, glance.likeness
         evidence = self._finder.all_of(survey)
         ways: tuple[Way, ...] = ()
         if not (evidence.empty or self._demands.unmet(evidence.changed, likeness)):
@@ -138,8 +152,9 @@ class PathTracker:
         flat = survey.flat if self._likeness is not None else None
         return Sight(evidence, likeness, self.camera, self._widest_px, self._foot_px, flat, ways)
 
-    def _near(self, survey: Survey, likeness: Likeness, time_s: float) -> StemReading | None:
+    def _near(self, glance: Glance, time_s: float) -> StemReading | None:
         """The stem where it was in the picture before; None where only the whole picture can tell."""
+        survey, likeness = glance.survey, glance.likeness
         memory, scale = self.memory, self.camera.px_per_cm
         before = before_of(memory, time_s)
         if memory is None or memory.near is None or before is None or memory.doubts or memory.elsewhere:
