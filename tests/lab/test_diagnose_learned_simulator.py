@@ -13,7 +13,7 @@ from simulator_fakes import straight_run, write_straight
 from flora_common.arrays import FloatArray
 from flora_lab.diagnose import emulated, stored_base
 from flora_lab.diagnose.inputs import Runs
-from flora_lab.diagnose.learned_simulator import faults_of, still_wrong
+from flora_lab.diagnose.learned_simulator import faults_of, how_sure, still_wrong
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.load import KINDS, load
@@ -81,17 +81,16 @@ def test_a_simulator_without_memory_is_told() -> None:
     faults = {fault.effect: fault for fault in faults_of(Forgetful(), plants())}
     fault = faults["memory"]
     assert fault.p_value < 0.01
-    assert 0.5 < fault.confidence <= 1.0
+    assert fault.confidence == 1.0 - fault.p_value
     hours = fault.parameters["time_constant_h"]
     low, high = fault.interval["time_constant_h"]
-    assert 0.05 < low < hours < high < 24.0
+    assert 0.05 < low <= hours <= high < 12.0
     assert "does not depend on what went before" in fault.evidence
-    assert fault.evidence.endswith("errors in runs that the rule is not from.")
+    assert fault.evidence.endswith(" by chance).")
 
 
-def test_of_a_single_run_it_is_told_that_the_rule_is_from_it() -> None:
-    faults = {fault.effect: fault for fault in faults_of(Forgetful(), plants(1))}
-    assert faults["memory"].evidence.endswith("errors in the run that the rule is from.")
+def test_a_day_of_one_plant_is_too_short_for_a_memory() -> None:
+    assert [fault.effect for fault in faults_of(Forgetful(), plants(1))] == []
 
 
 def test_a_growing_simulator_remembers() -> None:
@@ -114,10 +113,26 @@ def test_a_clock_that_is_wrong_is_told_with_its_factor(tmp_path: Path, speed: fl
 
 def test_few_plants_are_less_sure_of_a_clock(tmp_path: Path) -> None:
     fast = load(write_straight(tmp_path / "fast.simulator", speed=3.0))
-    (few,) = faults_of(fast, straight(GROWTHS[:2]))
-    (many,) = faults_of(fast, straight((*GROWTHS, 0.115, 0.125)))
-    assert few.parameters["factor"] == pytest.approx(3.0, rel=0.1)
-    assert few.confidence <= many.confidence
+    told = [faults_of(fast, straight((0.12,) * count))[0] for count in (1, 2, 5)]
+    assert all(fault.parameters["factor"] == pytest.approx(3.0, rel=0.15) for fault in told)
+    wide = [high / low for low, high in (fault.interval["factor"] for fault in told)]
+    assert wide[0] > wide[1] > wide[2] > 1.1
+    assert [0.99 < fault.confidence <= 0.999 for fault in told] == [True] * 3
+
+
+def test_a_clock_that_is_wrong_by_less_than_one_plant_tells_is_left(tmp_path: Path) -> None:
+    fast = load(write_straight(tmp_path / "fast.simulator", speed=1.2))
+    assert faults_of(fast, straight((0.12,))) == []
+    (fault,) = faults_of(fast, straight((0.12,) * 6))
+    assert fault.parameters["factor"] == pytest.approx(1.2, rel=0.1)
+
+
+def test_plants_that_differ_widen_the_interval_of_a_clock() -> None:
+    alike, apart = (how_sure(2.0, np.log([2.0, 2.0 * more, 2.0 / more])) for more in (1.0, 1.5))
+    assert alike[0] < 1.2 < apart[0]
+    assert apart[1] < alike[1]
+    few, many = (how_sure(1.3, np.full(count, np.log(1.3)))[1] for count in (1, 9))
+    assert few < 0.96 < many
 
 
 def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ Both are the paper's own: pairs of photographs in which a stem does not move by 
 plants that live too fast; and single shuffled steps carry nothing from one to the next, so that whatever a plant
 remembers of its light and of its own motion cannot be in the model.
 
-Intervals and confidences of these two faults are no posterior, as those of causes of the catalogue are, though they
-stand in the same columns and are shown as 90 %. Each constant says what it rests on.
+What confidences and intervals of these two are worth was counted on simulators of drawn worlds
+(``make discovery-simulators``, docs/results/discovery.md).
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
-from flora_common.arrays import Array
 from flora_lab.diagnose.diagnosis import NamedCause
+from flora_lab.diagnose.forgotten import forgotten
+from flora_lab.diagnose.verdict import LEAST_P, SUREST
 from flora_lab.effects.catalogue import BY_NAME
-from flora_lab.rollout.intervals import LEVEL
-from flora_lab.rollout.time_scale import TimeScale, best_time_scale
+from flora_lab.rollout.time_scale import best_time_scale
 from flora_lab.simulator.interface import History, Simulator
 from flora_lab.simulator.measured import MeasuredRun
 
@@ -31,23 +32,17 @@ _CLEAR: Final = 1.15
 """A clock that is wrong by less is not told from individuals."""
 _BETTER: Final = 0.9
 """The error at the right clock, over that at the simulator's own, below which it matters."""
-_SURE_BY_PLANTS: Final = LEVEL
-"""Confidence in a wrong clock where the interval over plants excludes 1: that interval's own level. With fewer than six
-plants it holds less, with three plants three in four, see :mod:`flora_lab.rollout.intervals`; it is told as 90 %."""
-_SURE_BY_ERROR: Final = 0.8
-"""Confidence in a wrong clock of too few plants for an interval: chosen, to be below the other; nothing was counted."""
-_NEAR_BEST: Final = 1.1
-"""Error over the least one up to which factors count as its interval then: chosen, of no known level."""
-_SHIFTS: Final = 400
+_SURE: Final = 0.9
+"""Confidence from which a clock is called wrong."""
+_LEVEL: Final = 0.9
+PLANTS_DIFFER: Final = 0.15
+"""By which the logarithms of plants' own factors differ where few plants tell; it counts as much as
+:data:`_AS_PLANTS` plants."""
+_AS_PLANTS: Final = 4
 _MOMENTS: Final = 24
 """How often it is looked whether the simulator cares for the past."""
 _PAST_H: Final = 6.0
 _P_CLAIM: Final = 0.01
-_SURE_OF_MEMORY: Final = 0.97
-"""Confidence in a memory that the simulator lacks: chosen, nothing was counted. What is measured is ``p_value``, and
-:data:`_P_CLAIM` the most of it with which one is told."""
-_MEMORY_TIMES: Final = 2.0
-"""A memory's time constant is told to lie between its estimate over this and times this: chosen, of no known level."""
 _SAME_CM: Final = 1e-6
 
 
@@ -75,15 +70,12 @@ def still_wrong(
 
 def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause | None:
     scale = best_time_scale(simulator, runs, _SEED)
-    factor, low, high = scale.factor.value, scale.factor.low, scale.factor.high
+    factor = scale.factor.value
     if scale.error_mm > _BETTER * scale.error_as_is_mm or abs(math.log(factor)) < math.log(_CLEAR):
         return None
-    if low is None or high is None:
-        low, high, sure = *_by_error(scale), _SURE_BY_ERROR
-    elif low <= 1.0 <= high:
+    half, sure = how_sure(factor, np.log(scale.of_each))
+    if sure < _SURE:
         return None
-    else:
-        sure = _SURE_BY_PLANTS
     effect = BY_NAME[TIME_SCALE]
     told = (
         f"; the tip error falls from {scale.error_as_is_mm:.0f} to {scale.error_mm:.0f} mm when its clock is set right"
@@ -92,52 +84,51 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
     return NamedCause(
         effect=effect.name,
         parameters={"factor": factor},
-        interval={"factor": (low, high)},
-        confidence=sure,
-        p_value=0.05,
+        interval={"factor": (factor / half, factor * half)},
+        confidence=min(sure, SUREST),
+        p_value=max(LEAST_P, 2.0 * (1.0 - sure)),
         confusable_with=["growth_rate"],
         evidence=sentence[0].upper() + sentence[1:] + told + ".",
         nats=0.0,
     )
 
 
-def _by_error(scale: TimeScale) -> tuple[float, float]:
-    """Factors at which the error is hardly more than at the best: what too few plants allow to say."""
-    near = scale.factors[scale.errors_mm <= _NEAR_BEST * scale.errors_mm.min()]
-    return float(near.min()), float(near.max())
+def how_sure(factor: float, of_each: np.ndarray) -> tuple[float, float]:
+    """By which factor the ends of the 90 % interval of a clock lie to either side, and how likely it is wrong to the
+    side that it is told to be.
+
+    Student's, of plants' own factors, whose variance is held to what plants usually have where they are few.
+
+    Args:
+        factor: how many times too fast it is.
+        of_each: logarithm of each plant's own factor, shape (plants,).
+    """
+    freedom = _AS_PLANTS + len(of_each) - 1
+    squares = float(((of_each - of_each.mean()) ** 2).sum()) + _AS_PLANTS * PLANTS_DIFFER**2
+    error = math.sqrt(squares / freedom / len(of_each))
+    half = float(stdtrit(freedom, (1.0 + _LEVEL) / 2.0)) * error
+    return math.exp(half), float(stdtr(freedom, abs(math.log(factor)) / error))
 
 
 def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause | None:
-    """Whether plants remember what the simulator forgets.
-
-    The simulator's next stem must not depend on what went before, and its one-step errors must follow from the plant's
-    own last step, in runs other than those that the rule is from if there are any; more than they do when the past is
-    shifted in time.
-    """
+    """Whether plants remember what the simulator forgets: its next stem does not depend on what went before, and its
+    errors follow from the lamps of the hours before."""
     if not _forgets(simulator, runs):
         return None
-    errors, past = zip(*(_steps(simulator, run) for run in runs), strict=True)
-    share = _told_by_past(errors, past)
-    draw = np.random.default_rng(_SEED)
-    by_chance = []
-    for _ in range(_SHIFTS):
-        shifted = [np.roll(p, int(draw.integers(len(p) // 10, len(p) - len(p) // 10)), axis=0) for p in past]
-        by_chance.append(_told_by_past(errors, shifted))
-    p_value = (1.0 + sum(value >= share for value in by_chance)) / (_SHIFTS + 1.0)
-    if p_value > _P_CLAIM or share <= 0.0:
+    found = forgotten(simulator, runs)
+    if found is None or found.p_value > _P_CLAIM:
         return None
-    hours = float(np.median([_lasting_h(e, run.step_s) for e, run in zip(errors, runs, strict=True)]))
-    where = "runs that the rule is not from" if len(runs) > 1 else "the run that the rule is from"
     return NamedCause(
         effect=MEMORY,
-        parameters={"time_constant_h": hours},
-        interval={"time_constant_h": (hours / _MEMORY_TIMES, hours * _MEMORY_TIMES)},
-        confidence=_SURE_OF_MEMORY,
-        p_value=float(p_value),
+        parameters={"time_constant_h": found.time_constant_h},
+        interval={"time_constant_h": found.interval_h},
+        confidence=min(1.0 - found.p_value, SUREST),
+        p_value=found.p_value,
         confusable_with=[],
         evidence=(
-            "The simulator's next stem does not depend on what went before, a plant's does: its last step tells "
-            f"{100.0 * share:.0f} % of the variance of the simulator's errors in {where}."
+            "The simulator's next stem does not depend on what went before, a plant's does: the lamps of the hours "
+            f"before tell {100.0 * found.share:.0f} % of what the simulator gets wrong about lamps that change "
+            f"({100.0 * found.by_chance:.0f} % by chance)."
         ),
         nats=0.0,
     )
@@ -162,45 +153,3 @@ def _forgets(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> bool:
         if np.abs(after[0] - after[1]).max() > _SAME_CM:
             return False
     return len(rows) > 0
-
-
-def _steps(simulator: Simulator[Any], run: MeasuredRun) -> tuple[Array, Array]:
-    """Errors of the tip after one row, shape (n, 2), and the plant's own way in the row before each, shape (n, 2).
-
-    Both in cm per step of the simulator, so that runs of different steps tell one rule.
-    """
-    known = run.is_measured
-    rows = np.flatnonzero(np.logical_and.reduce([known[:-2], known[1:-1], known[2:]])) + 1
-    stems = simulator.step(simulator.start(run.points_cm[rows]), run.light[rows], run.step_s)[1]
-    tips = run.points_cm[:, -1]
-    steps = run.step_s / simulator.step_s
-    return (tips[rows + 1] - stems[:, -1]) / steps, (tips[rows] - tips[rows - 1]) / steps
-
-
-def _told_by_past(errors: Sequence[Array], past: Sequence[Array]) -> float:
-    """Share of the errors' variance that their past tells, each run by the rule of all others, or of itself alone."""
-    left = total = 0.0
-    for i, (own, before) in enumerate(zip(errors, past, strict=True)):
-        others = [j for j in range(len(errors)) if j != i] or [i]
-        x = np.concatenate([_columns(past[j]) for j in others])
-        y = np.concatenate([errors[j] for j in others])
-        rule = np.linalg.lstsq(x, y, rcond=None)[0]
-        middle = np.concatenate([errors[j] for j in others]).mean(axis=0)
-        left += float(((own - _columns(before) @ rule) ** 2).sum())
-        total += float(((own - middle) ** 2).sum())
-    return 1.0 - left / total if total > 0.0 else 0.0
-
-
-def _columns(past: Array) -> Array:
-    return np.column_stack([np.ones(len(past)), past])
-
-
-def _lasting_h(errors: Array, step_s: float) -> float:
-    """How long errors stay alike, hours: until their correlation has fallen to 1/e."""
-    own = errors[:, 0] - errors[:, 0].mean()
-    most = min(len(own) - 1, round(12.0 * 3600.0 / step_s))
-    power = float(own @ own)
-    for lag in range(1, most):
-        if float(own[lag:] @ own[:-lag]) < power / math.e:
-            return lag * step_s / 3600.0
-    return most * step_s / 3600.0

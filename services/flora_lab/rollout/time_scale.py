@@ -34,6 +34,7 @@ class TimeScale:
         error_as_is_mm: the same at factor 1.
         at_edge: the best factor, or an end of its interval, is an end of :data:`RANGE`; the truth may lie beyond.
         factors, errors_mm: all that were tried, in order.
+        of_each: the best factor of each plant, shape (plants,).
     """
 
     factor: Estimate
@@ -42,6 +43,7 @@ class TimeScale:
     at_edge: bool
     factors: FloatArray
     errors_mm: FloatArray
+    of_each: FloatArray
 
 
 def mean_tip_errors_mm(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> FloatArray:
@@ -97,16 +99,28 @@ def best_time_scale(
         any(factor in (factors[0], factors[-1]) for factor in (chosen, low, high)),
         factors,
         medians,
+        _best_of_each(errors),
     )
 
 
 def _best(errors: dict[float, FloatArray], seed: int) -> FloatArray:
     """The best factor for all plants, and after it those for resampled ones where there are enough plants."""
-    factors = np.array(sorted(errors, key=lambda factor: (abs(np.log(factor)), factor)))
-    values = np.stack([errors[factor] for factor in factors.tolist()])
+    factors, values = _nearest_to_1_first(errors)
     best = factors[[int(np.argmin(np.median(values, axis=-1)))]]
     plants = values.shape[-1]
     if plants < FEWEST_PLANTS:
         return best
     drawn = np.median(values[:, resampled(plants, seed, times=1000)], axis=-1)
     return np.concatenate([best, factors[np.argmin(drawn, axis=0)]])
+
+
+def _best_of_each(errors: dict[float, FloatArray]) -> FloatArray:
+    """The best factor of each plant, shape (plants,)."""
+    factors, values = _nearest_to_1_first(errors)
+    return np.asarray(factors[np.argmin(values, axis=0)], dtype=np.float64)
+
+
+def _nearest_to_1_first(errors: dict[float, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Factors, and the errors of all plants at each, shape (factors, plants): of equal ones the first is taken."""
+    factors = np.array(sorted(errors, key=lambda factor: (abs(np.log(factor)), factor)))
+    return factors, np.stack([errors[factor] for factor in factors.tolist()])
