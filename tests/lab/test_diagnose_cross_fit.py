@@ -99,6 +99,7 @@ def test_errors_of_the_law_add_up_over_runs() -> None:
     assert claim(doubtful, 1) - FIRST == three
 
 
+@pytest.mark.slow
 def test_too_few_runs_are_not_held_out() -> None:
     assert LEAST_RUNS > 3
     told: list[int] = []

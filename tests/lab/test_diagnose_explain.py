@@ -88,6 +88,7 @@ def test_two_hidden_effects_are_named_both() -> None:
     assert {cause.effect for cause in causes} == set(names(explanation))
 
 
+@pytest.mark.slow
 def test_a_cause_that_comes_to_nothing_gives_back_what_it_made_worthless(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the second cause the first seems not to be needed; weighed again, the second is next to nothing."""
     real = Explainer._with_the_best
@@ -283,6 +284,7 @@ def test_a_swing_of_the_tip_is_named() -> None:
         assert low <= cause.parameters[name] <= high
 
 
+@pytest.mark.slow
 def test_what_hours_keep_of_a_slow_swing_is_not_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
     with one_blas_thread():
         explainer = Explainer(scenes_of((82,), swing=(2.4, 0.8)), known())

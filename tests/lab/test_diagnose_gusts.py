@@ -142,6 +142,7 @@ def knocked(run: MeasuredRun, at_h: float = 54.5, comes_back_h: float = 4.0) -> 
     return replace(run, points_cm=run.points_cm + bent[:, None, None] * aside_cm)
 
 
+@pytest.mark.slow
 def test_what_bends_stems_once_is_no_wind(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = [knocked(run_of(seed, hours=72.0)) for seed in (82, 84)]
     assert weighed(runs).gusts.evidence < 10.0
@@ -164,6 +165,7 @@ def test_in_a_steady_wind_there_are_no_gusts() -> None:
     assert draught.gusts.evidence < 3.0
 
 
+@pytest.mark.slow
 def test_one_run_of_several_that_sways_by_itself_is_in_no_wind() -> None:
     first, second = (run_of(seed, hours=72.0) for seed in (82, 84))
     assert weighed([wavering(first, 82), second]).gusts.evidence == 0.0
