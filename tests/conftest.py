@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import socket
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import zmq
 from flora_common.bus import Arrival, BusAddress, BusClient
 from flora_common.clock import SystemClock
 from flora_common.messages import Health
+from made_once import Folder
 
 # Read once per process, by whichever test opens a film first: the library is not to write beside a command's one line.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -34,6 +36,10 @@ DEADLINE_S = 20.0
 SLOW_TIMEOUT_S = 3600.0
 
 
+WAITING = ("rig", "contract")
+"""Folders of tests that start services, and wait for them."""
+WORKING = ("discovery", "lab")
+"""Folders of tests that take all of a core."""
 EVOLUTION = ("test_evolve_", "test_evaluate_", "test_paper_", "test_diagnose_controllers")
 """Files in which populations are evaluated."""
 
@@ -54,10 +60,37 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Those that take minutes may."""
+    """Those that take minutes may; those that wait come among those that work."""
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT_S))
+    items[:] = spread(items)
+
+
+def spread(items: Sequence[pytest.Item]) -> list[pytest.Item]:
+    """The files in which tests wait for processes evenly among those that work for long, and those of quick tests after
+    them; each file whole, and each kind in its order.
+
+    Where all that wait came together two cores would have nothing to do for a third of the time.
+    """
+    kinds: dict[str, list[list[pytest.Item]]] = {}
+    for _, group in itertools.groupby(items, lambda item: item.path):
+        whole = list(group)
+        folder = whole[0].path.parent.name
+        kinds.setdefault("waits" if folder in WAITING else "works" if folder in WORKING else "quick", []).append(whole)
+    placed = [
+        ((kind == "quick", (number + 0.5) / len(files), kind), file)
+        for kind, files in kinds.items()
+        for number, file in enumerate(files)
+    ]
+    return [item for _, file in sorted(placed, key=lambda one: one[0]) for item in file]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _made_once(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Processes of one run share what took long to make."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        Folder.path = tmp_path_factory.getbasetemp().parent
 
 
 class PrivateBus:

@@ -25,6 +25,7 @@ from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.terms import ExtendedLaw
 from flora_lab.simulator.tropism_traits import NAMES, prior_mean, prior_spread
 from flora_lab.threads import one_blas_thread
+from made_once import made_once
 
 Effects = Mapping[str, Mapping[str, float]]
 """Name of an effect to its parameters."""
@@ -194,8 +195,12 @@ REFERENCE: Final = tuple(range(9))
 @functools.cache
 def known() -> Knowledge:
     """What nine healthy runs of a day tell; learned once for all tests."""
-    with one_blas_thread():
-        return learn_from(scenes_of(REFERENCE), laws=AS_WRITTEN)
+
+    def learned() -> Knowledge:
+        with one_blas_thread():
+            return learn_from(scenes_of(REFERENCE), laws=AS_WRITTEN)
+
+    return made_once("known", learned)
 
 
 def base() -> Base:
