@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import socket
@@ -10,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import pytest
 import tomli_w
 import zmq
 
+from file_order import spread
 from flora_common.bus import Arrival, BusAddress, BusClient
 from flora_common.clock import SystemClock
 from flora_common.messages import Health
@@ -36,10 +36,6 @@ DEADLINE_S = 20.0
 SLOW_TIMEOUT_S = 3600.0
 
 
-WAITING = ("rig", "contract")
-"""Folders of tests that start services, and wait for them."""
-WORKING = ("discovery", "lab")
-"""Folders of tests that take all of a core."""
 EVOLUTION = ("test_evolve_", "test_evaluate_", "test_paper_", "test_diagnose_controllers")
 """Files in which populations are evaluated."""
 
@@ -64,26 +60,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT_S))
-    items[:] = spread(items)
-
-
-def spread(items: Sequence[pytest.Item]) -> list[pytest.Item]:
-    """The files in which tests wait for processes evenly among those that work for long, and those of quick tests after
-    them; each file whole, and each kind in its order.
-
-    Where all that wait came together two cores would have nothing to do for a third of the time.
-    """
-    kinds: dict[str, list[list[pytest.Item]]] = {}
-    for _, group in itertools.groupby(items, lambda item: item.path):
-        whole = list(group)
-        folder = whole[0].path.parent.name
-        kinds.setdefault("waits" if folder in WAITING else "works" if folder in WORKING else "quick", []).append(whole)
-    placed = [
-        ((kind == "quick", (number + 0.5) / len(files), kind), file)
-        for kind, files in kinds.items()
-        for number, file in enumerate(files)
-    ]
-    return [item for _, file in sorted(placed, key=lambda one: one[0]) for item in file]
+    items[:] = spread(items, lambda item: item.path)
 
 
 @pytest.fixture(scope="session", autouse=True)

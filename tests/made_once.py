@@ -35,6 +35,8 @@ def made_once(name: str, make: Callable[[], Made]) -> Made:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not place.exists():
             made = make()
-            place.write_bytes(pickle.dumps(made))
+            beside = place.with_suffix(".part")  # a process that is killed leaves no half of it
+            beside.write_bytes(pickle.dumps(made))
+            beside.replace(place)
             return made
     return cast(Made, cast(Any, pickle.loads(place.read_bytes())))

@@ -5,15 +5,20 @@ forget: one from all rows, one from every so-manyeth as if that were the next. T
 or right; the plants that they are held against are others of the world, healthy or with a drawn effect of the
 catalogue. What is told of clock and memory is counted.
 
+A simulator that remembers cannot be told to forget, so nothing is counted there; how often one that forgets is told to
+where its plants forget, too, is tried in ``tests/lab/test_diagnose_forgotten.py``.
+
 Worlds that the results file has are not judged again. Six minutes of one core a world.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import multiprocessing
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,6 +67,8 @@ CLOSEST = 1.3
 """A clock that is wrong is so by at least this."""
 THINNED = (3, 13)
 """The next row is one of so many after it."""
+CONFIDENCES = (0.9, 0.99, 0.999, math.inf)
+"""Ends of the rows that clocks are counted in."""
 REMEMBERS, FORGETS = "remembers", "forgets"
 HEALTHY, AFFECTED = "healthy", "affected"
 
@@ -194,8 +201,8 @@ def left_beside_effects(faults: Sequence[NamedCause], world: World, runs: Runs) 
     with one_blas_thread():
         explanation = Explainer(runs.scenes(world.usual_c, world.rod.terms), world.known).explain()
     causes = named(explanation, left_of(explanation, world.known))
-    extended = world.rod.extended(extensions_of(causes))
-    return still_wrong(faults, extended, runs.measured)
+    extensions = extensions_of(causes)
+    return still_wrong(faults, world.rod.extended(extensions), runs.measured) if extensions else list(faults)
 
 
 def told(fault: NamedCause) -> dict[str, Any]:
@@ -209,16 +216,24 @@ def told(fault: NamedCause) -> dict[str, Any]:
 
 
 def judge_world(seed: int, form: int) -> list[Judged]:
-    """In a process of its own."""
+    """In a process of its own, which leaves Ctrl-C to that which waits for it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_core()
     with tempfile.TemporaryDirectory(prefix="simulators-") as scratch:
         return list(judged_in(seed, form, Path(scratch)))
 
 
 def read_results(path: Path) -> list[Judged]:
-    """Of whole worlds; a torn last line is left out."""
+    """Of whole worlds; a torn last line is left out.
+
+    Raises:
+        BadInput: the file is there and is not a results file.
+    """
     lines = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
-    return [Judged(**one) for line in lines for one in json.loads(line)]
+    try:
+        return [Judged(**one) for line in lines for one in json.loads(line)]
+    except (ValueError, TypeError) as problem:
+        raise BadInput(f"{path}: is no results file; name another one with --results") from problem
 
 
 def judge_all(options: argparse.Namespace) -> list[Judged]:
@@ -227,14 +242,19 @@ def judge_all(options: argparse.Namespace) -> list[Judged]:
     known = {one.world for one in done}
     options.results.parent.mkdir(parents=True, exist_ok=True)
     left = [seed for seed in range(options.seed, options.seed + options.worlds) if seed not in known]
-    with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        work = [
-            pool.submit(judge_world, seed, int((seed - options.seed) % OTHER_EVERY == OTHER_EVERY - 1)) for seed in left
-        ]
+    pool = ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        work = [pool.submit(judge_world, seed, int(seed % OTHER_EVERY == 0)) for seed in left]
         for number, ready in enumerate(as_completed(work), start=1):
             done += ready.result()
             files.append_line(options.results, json.dumps([asdict(one) for one in ready.result()]))
             print(f"{number}/{len(left)} worlds", file=sys.stderr, flush=True)
+    except BaseException:
+        for process in list(getattr(pool, "_processes", {}).values()):
+            process.terminate()  # a world takes minutes
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
     return done
 
 
@@ -249,7 +269,8 @@ def memory_table(judged: Sequence[Judged]) -> str:
         by_words.setdefault(one.words, []).append(one)
     for words, some in sorted(by_words.items()):
         clocks, memories = (sum(one.fault(name) is not None for one in some) for name in (TIME_SCALE, MEMORY))
-        lines.append(f"| {words} | {len(some)} | {clocks} | {memories} |")
+        told = memories if some[0].simulator == FORGETS else "-"
+        lines.append(f"| {words} | {len(some)} | {clocks} | {told} |")
     return "\n".join(lines)
 
 
@@ -259,12 +280,13 @@ def clocks_table(judged: Sequence[Judged]) -> str:
         "| confidence | clocks told | wrong, and to that side | factor off, median | 90 % | interval holds it |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    told: dict[float, list[tuple[Judged, float, Mapping[str, Any]]]] = {}
-    for one in judged:
-        fault = one.fault(TIME_SCALE)
-        if fault is not None and one.factor is not None:
-            told.setdefault(fault["confidence"], []).append((one, one.factor, fault))
-    for confidence, some in sorted(told.items()):
+    told = [
+        (one, one.factor, fault)
+        for one in judged
+        if (fault := one.fault(TIME_SCALE)) is not None and one.factor is not None
+    ]
+    for low, high in itertools.pairwise(CONFIDENCES):
+        some = [(one, true, fault) for one, true, fault in told if low <= fault["confidence"] < high]
         right = [(one, true, f) for one, true, f in some if is_same_side(true, f["parameters"]["factor"])]
         # how fast a thinned one is nobody knows better than by how much it was thinned
         exact = [(true, f) for one, true, f in right if one.simulator == REMEMBERS]
@@ -272,10 +294,15 @@ def clocks_table(judged: Sequence[Judged]) -> str:
         held = sum(f["interval"]["factor"][0] <= true <= f["interval"]["factor"][1] for true, f in exact)
         words = [f"{100 * math.expm1(float(np.quantile(off, share))):.0f} %" if off else "-" for share in (0.5, 0.9)]
         lines.append(
-            f"| {confidence:g} | {len(some)} | {len(right)} | {words[0]} | {words[1]} | {held} of {len(exact)} |"
+            f"| {low:g} to {min(high, 1.0):g} | {len(some)} | {len(right)} | {words[0]} | {words[1]} | "
+            f"{held} of {len(exact)} |"
         )
-    wrong = [one for one in judged if one.simulator == REMEMBERS and one.factor != 1.0]
-    found = sum(one.fault(TIME_SCALE) is not None for one in wrong)
+    wrong = [one for one in judged if one.simulator == REMEMBERS and one.factor not in (None, 1.0)]
+    found = sum(
+        fault is not None and is_same_side(one.factor or 1.0, fault["parameters"]["factor"])
+        for one in wrong
+        for fault in [one.fault(TIME_SCALE)]
+    )
     return "\n".join(
         [*lines, "", f"Of {len(wrong)} clocks of simulators that remember and are wrong, {found} were told."]
     )

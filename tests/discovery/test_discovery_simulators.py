@@ -15,6 +15,7 @@ import pytest
 
 from discovery import simulators
 from discovery.simulators import CLOSEST, FASTEST, SLOWEST, Judged, clock, clocks_table, memory_table, thinned
+from flora_common.errors import BadInput
 from flora_common.tracks import Track
 from flora_lab.run_tracks import RunTrack
 
@@ -48,7 +49,7 @@ def judged(simulator: str, factor: float | None, *faults: dict[str, Any], world:
     return Judged(world, 0, simulator, "affected" if effect else "healthy", effect, factor, list(faults))
 
 
-def wrong(factor: float, low: float, high: float, confidence: float = 0.9) -> dict[str, Any]:
+def wrong(factor: float, low: float, high: float, confidence: float = 0.97) -> dict[str, Any]:
     return {
         "effect": "time_scale",
         "parameters": {"factor": factor},
@@ -63,10 +64,11 @@ MISSING = {"effect": "memory", "parameters": {}, "interval": {}, "confidence": 0
 def test_what_is_told_of_each_kind_is_counted() -> None:
     told = [
         judged("remembers", 1.0),
-        judged("remembers", 1.0, MISSING),
+        judged("remembers", 1.0),
         judged("remembers", 1.0, wrong(2.0, 1.5, 2.5), effect="sag"),
-        judged("remembers", 4.0, wrong(4.4, 3.0, 5.0)),
-        judged("remembers", 2.0, wrong(3.0, 2.5, 5.0)),
+        judged("remembers", 4.0, wrong(4.4, 3.0, 5.0, 0.999)),
+        judged("remembers", 2.0, wrong(3.0, 2.5, 5.0, 0.991)),
+        judged("remembers", 0.5, wrong(2.0, 1.5, 2.5)),
         judged("remembers", 0.5),
         judged("forgets", None, MISSING),
         judged("forgets", 5.0, MISSING, wrong(5.5, 5.0, 6.0)),
@@ -74,13 +76,24 @@ def test_what_is_told_of_each_kind_is_counted() -> None:
     assert memory_table(told).splitlines()[2:] == [
         "| forgets, 3 to 12 times too fast | healthy | 1 | 1 | 1 |",
         "| forgets, as learned | healthy | 1 | 0 | 1 |",
-        "| remembers, 0.3 to 12 times too fast | healthy | 3 | 2 | 0 |",
-        "| remembers, in time | affected | 1 | 1 | 0 |",
-        "| remembers, in time | healthy | 2 | 0 | 1 |",
+        "| remembers, 0.3 to 12 times too fast | healthy | 4 | 3 | - |",
+        "| remembers, in time | affected | 1 | 1 | - |",
+        "| remembers, in time | healthy | 2 | 0 | - |",
     ]
-    lines = clocks_table(told).splitlines()
-    assert lines[2] == "| 0.9 | 4 | 3 | 28 % | 45 % | 1 of 2 |"
-    assert lines[-1] == "Of 3 clocks of simulators that remember and are wrong, 2 were told."
+    assert clocks_table(told).splitlines()[2:] == [
+        "| 0.9 to 0.99 | 3 | 1 | - | - | 0 of 0 |",
+        "| 0.99 to 0.999 | 1 | 1 | 50 % | 50 % | 0 of 1 |",
+        "| 0.999 to 1 | 1 | 1 | 10 % | 10 % | 1 of 1 |",
+        "",
+        "Of 4 clocks of simulators that remember and are wrong, 2 were told.",
+    ]
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    for text in ("not JSON\n", '[{"seed": 1}]\n', "[1]\n"):
+        (tmp_path / "results.jsonl").write_text(text)
+        with pytest.raises(BadInput, match="is no results file"):
+            simulators.read_results(tmp_path / "results.jsonl")
 
 
 def test_worlds_that_are_judged_are_not_judged_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

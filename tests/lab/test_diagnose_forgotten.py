@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.store import Stored
 
 STEP_S = 300.0
-HEIGHTS_CM = np.linspace(0.0, 12.0, 10)
+FIRST_CM, GROWTH_CM_H = 8.0, 0.08
 ALONG = np.linspace(0.0, 1.0, 10) ** 2
 BACK_PER_H, AWAY_CM_H = 0.15, 0.8
 
@@ -74,9 +75,10 @@ def plant(seed: int, *, memory_h: float, hours: float = 72.0, wander: float = 0.
         seen = kept * seen + (1.0 - kept) * side
         tip_cm += STEP_S / 3600.0 * (AWAY_CM_H * seen - BACK_PER_H * tip_cm + chance)
         tips.append(tip_cm)
-    measured_cm = np.array(tips) + 0.05 * rng.standard_normal(len(tips))
-    points = np.stack([ALONG * measured_cm[:, None], np.broadcast_to(HEIGHTS_CM, (len(tips), 10))], axis=-1)
     time_s = np.arange(len(tips)) * STEP_S
+    heights_cm = np.linspace(0.0, 1.0, 10) * (FIRST_CM + GROWTH_CM_H * time_s[:, None] / 3600.0)
+    points = np.stack([ALONG * np.array(tips)[:, None], heights_cm], axis=-1)
+    points[:, 1:] += 0.05 * rng.standard_normal((len(tips), 9, 2))
     return MeasuredRun(f"bean{seed}", f"bean{seed}", "0" * 64, points, light, time_s, STEP_S, {})
 
 
@@ -88,11 +90,9 @@ def plants(seed: int, **how: Any) -> list[MeasuredRun]:
 def test_what_plants_remember_and_a_simulator_forgets_is_found(memory_h: float) -> None:
     found = [forgotten(Forgets(), plants(seed, memory_h=memory_h)) for seed in range(10)]
     assert sum(one is not None and one.p_value <= 0.01 for one in found) >= 9
-    # the grid's step is 1.4, and what lasts for hours is partly taken for a slow course
-    held = [
-        one is not None and one.interval_h[0] < 1.4 * memory_h and memory_h < 1.4 * one.interval_h[1] for one in found
-    ]
-    assert sum(held) >= (8 if memory_h <= 1.0 else 5)
+    if memory_h <= 1.0:  # what lasts for longer is partly taken for a slow course
+        held = [one is not None and one.interval_h[0] / 1.2 < memory_h < 1.2 * one.interval_h[1] for one in found]
+        assert sum(held) >= 8
     assert all(one is not None and 0.0 < one.by_chance < one.share < 1.0 for one in found)
 
 
@@ -100,7 +100,8 @@ def test_where_nobody_remembers_nothing_is_told() -> None:
     """A plant's chance lasts for hours, and measuring makes each step go back: neither is a memory of lamps."""
     p_values = [one.p_value for seed in range(60) if (one := forgotten(Forgets(), plants(seed, memory_h=0.0)))]
     assert len(p_values) == 60
-    assert sum(p <= 0.01 for p in p_values) <= 3
+    assert sum(p <= 0.01 for p in p_values) <= 2
+    assert sum(p <= 0.1 for p in p_values) <= 12
     assert 0.3 < np.median(p_values) < 0.7
 
 
@@ -115,10 +116,19 @@ def test_rows_of_other_steps_and_gaps_tell_the_same() -> None:
     assert seldom.p_value <= 0.01
 
 
-def test_of_a_lamp_that_stays_or_hours_nothing_can_be_told() -> None:
-    assert forgotten(Forgets(), [plant(1, memory_h=1.0, hours=8.0)]) is None
-    stays = forgotten(Forgets(), plants(1, memory_h=1.0, turns_h=1000.0))
-    assert stays is None or stays.p_value > 0.01
-    short = forgotten(Forgets(), [plant(1, memory_h=1.0, hours=24.0)])
-    assert short is not None
-    assert short.p_value > 0.01
+def test_of_a_lamp_that_stays_or_a_day_nothing_can_be_told() -> None:
+    assert forgotten(Forgets(), plants(1, memory_h=1.0, turns_h=1000.0)) is None
+    assert forgotten(Forgets(), [plant(1, memory_h=1.0, hours=24.0)]) is None
+    assert forgotten(Forgets(), plants(1, memory_h=1.0, hours=12.0)) is None
+    assert forgotten(Forgets(), [plant(1, memory_h=1.0)]) is not None
+
+
+def test_rounding_decides_nothing() -> None:
+    """Draws whose signs are all alike leave the errors as they are, to rounding."""
+    runs = plants(0, memory_h=1.0, hours=24.0)
+    other = [replace(run, points_cm=run.points_cm * (1.0 + 1e-13)) for run in runs]
+    one, two = (forgotten(Forgets(), some) for some in (runs, other))
+    assert one is not None
+    assert two is not None
+    assert (one.p_value, one.time_constant_h) == (two.p_value, two.time_constant_h)
+    assert one.share == pytest.approx(two.share, rel=1e-6)

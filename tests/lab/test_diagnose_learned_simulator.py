@@ -13,7 +13,7 @@ from simulator_fakes import straight_run, write_straight
 from flora_common.arrays import FloatArray
 from flora_lab.diagnose import emulated, stored_base
 from flora_lab.diagnose.inputs import Runs
-from flora_lab.diagnose.learned_simulator import faults_of, how_sure, still_wrong
+from flora_lab.diagnose.learned_simulator import clock_interval, faults_of, still_wrong
 from flora_lab.simulator.growing import DataRange
 from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
 from flora_lab.simulator.load import KINDS, load
@@ -128,11 +128,20 @@ def test_a_clock_that_is_wrong_by_less_than_one_plant_tells_is_left(tmp_path: Pa
 
 
 def test_plants_that_differ_widen_the_interval_of_a_clock() -> None:
-    alike, apart = (how_sure(2.0, np.log([2.0, 2.0 * more, 2.0 / more])) for more in (1.0, 1.5))
+    alike, apart = (clock_interval(2.0, np.log([2.0, 2.0 * more, 2.0 / more])) for more in (1.0, 1.5))
     assert alike[0] < 1.2 < apart[0]
     assert apart[1] < alike[1]
-    few, many = (how_sure(1.3, np.full(count, np.log(1.3)))[1] for count in (1, 9))
-    assert few < 0.96 < many
+    few, many = (clock_interval(1.3, np.full(count, np.log(1.3))) for count in (1, 9))
+    assert few[0] > 1.3 > many[0]
+    assert few[1] < 0.96 < many[1]
+    aside = clock_interval(3.17, np.log([3.05, 3.05, 7.7, 7.7]))
+    assert 3.17 * aside[0] > 4.85 > 3.17 / aside[0]
+
+
+def test_a_clock_beyond_what_was_searched_is_told_as_one(tmp_path: Path) -> None:
+    slow = load(write_straight(tmp_path / "slow.simulator", speed=0.05))
+    (fault,) = faults_of(slow, straight((0.12,) * 4))
+    assert fault.evidence.endswith("; the truth may lie beyond what was searched.")
 
 
 def test_a_simulator_that_is_right_has_no_fault(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from drawn_run import SIZE, make_run, picture, stem_cm, sway
 from flora_common.runs import RunFolder
 from flora_common.tracks import read_track
 from flora_common.vision.lamp_states import from_background
+from flora_common.vision.path.nearby import LONGEST_S
 from flora_common.vision.path.tracker import PathTracker
 from flora_common.vision.picture import decode_picture
 from flora_lab import sources
@@ -81,11 +82,18 @@ def test_path_is_the_default_and_adds_numeric_columns(tmp_path: Path) -> None:
     assert list(read_track(tmp_path / "c.csv").covariates) == ["temperature_c"]
 
 
-def test_a_track_is_what_the_rig_measures(tmp_path: Path) -> None:
-    """Near where the stem was, too, which pictures that are looked at one by one do not tell."""
+@pytest.mark.parametrize("every_s", [300.0, 1500.0])
+def test_a_track_is_what_the_rig_measures(every_s: float, tmp_path: Path) -> None:
+    """Near where the stem was, too, which pictures that are looked at one by one do not tell; but for pictures that are
+    too seldom for that, which threads may look at whole."""
     run, out = make_run(tmp_path / "run", 24), tmp_path / "track.csv"
+    frames_csv = run / "frames.csv"
+    head, *rows = frames_csv.read_text().splitlines()
+    seldom = [row.replace(f",{300 * i},", f",{every_s * i:.0f},", 1) for i, row in enumerate(rows)]
+    frames_csv.write_text("\n".join([head, *seldom]) + "\n")
     assert main(["track", str(run), "-o", str(out), "-q", "--jobs", "2"]) == 0
     track = read_track(out)
+    assert track.time_s[1] == every_s
 
     def decoded(path: Path) -> np.ndarray:
         return decode_picture(path.read_bytes(), where=path.name)
@@ -94,11 +102,12 @@ def test_a_track_is_what_the_rig_measures(tmp_path: Path) -> None:
     camera = RunFolder(run).read_run_file().camera
     rig, whole = (PathTracker(from_background(empty), camera) for _ in range(2))
     pictures = [decoded(path) for path in sorted((run / "frames").iterdir())]
-    measured = [rig.read(picture, 300.0 * i).points_cm for i, picture in enumerate(pictures)]
+    measured = [rig.read(picture, every_s * i).points_cm for i, picture in enumerate(pictures)]
     found = np.stack([points for points in measured if points is not None])
-    assert found == pytest.approx(track.points_cm, abs=1e-3)
-    one_by_one = [whole.follow(whole.look(picture), 300.0 * i).points_cm for i, picture in enumerate(pictures)]
-    assert np.abs(found - np.stack([points for points in one_by_one if points is not None])).max() > 1e-3
+    assert found == pytest.approx(track.points_cm, abs=6e-5)  # a track tells micrometres
+    one_by_one = [whole.follow(whole.look(picture), every_s * i).points_cm for i, picture in enumerate(pictures)]
+    apart = np.abs(found - np.stack([points for points in one_by_one if points is not None])).max()
+    assert (apart > 1e-3) == (every_s <= LONGEST_S)
 
 
 def test_points_along_the_stem_differ_from_points_by_height(tmp_path: Path) -> None:

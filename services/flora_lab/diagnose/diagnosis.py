@@ -25,8 +25,8 @@ class NamedCause(msgspec.Struct, frozen=True):
         effect: its name in the catalogue.
         parameters: by name; units stand in the names.
         interval: of 90 %, by the same names.
-        confidence: probability that it is this one, or one of those that these data cannot tell from it. Of a
-            learned simulator as a whole both rest on less, see :mod:`flora_lab.diagnose.learned_simulator`.
+        confidence: probability that it is this one, or one of those that these data cannot tell from it; of what a
+            learned simulator lacks as a whole see :mod:`flora_lab.diagnose.learned_simulator`.
         p_value: how often runs without any effect show as much evidence, at most.
         confusable_with: effects that these data cannot tell from it.
         evidence: a sentence.

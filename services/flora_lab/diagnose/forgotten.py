@@ -38,17 +38,20 @@ _MEAN_H: Final = 1.0 / 3.0
 """Over so long means are taken; errors of measuring in it nearly cancel."""
 _KNOT_H: Final = 6.0
 _STRETCH_H: Final = 6.0
-_SHORTEST_H: Final = 12.0
-"""Of shorter runs nothing is told."""
+_FEWEST_STRETCHES: Final = 9
+"""With fewer, signs that are all alike, which leave the errors as they are, are no rare draw."""
 _RIDGE: Final = 1e-3
 _MIDDLE: Final = 4
 """Point of the stem that tells beside its tip how it stands."""
-_ALONE_H: Final = np.geomspace(0.0625, 4.0, 13)
-"""Time constants that are tried alone."""
+_ALONE_H: Final = np.geomspace(0.125, 4.0, 11)
+"""Time constants that are tried alone. What lasts for longer than two hours is told too short: the slow course has a
+part of it."""
 _LEVEL: Final = 0.9
 _ROUNDING_CM: Final = 1e-6
 """Errors as small as this are no plant's."""
 _SMALL: Final = 1e-9
+_ROUNDING: Final = 1e-9
+"""Part of a number that is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ class _Course:
     Attributes:
         present: orthonormal columns of what these tell, shape (n, m).
         errors: shape (n,), cm per step of the simulator.
-        traces: shape (n, 4); alone: shape (n, 13).
+        traces: shape (n, 4); alone: shape (n, 11).
         at_h: when they begin, shape (n,).
     """
 
@@ -100,7 +103,7 @@ def forgotten(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> Forgott
     """What the lamps of the hours before tell of a simulator's errors; None where runs are too short, lamps stay, or
     there are no errors."""
     told = [one for run in runs if (one := _course_of(simulator, run)) is not None]
-    if not told:
+    if sum(len(np.unique(one.stretches())) for one in told) < _FEWEST_STRETCHES:
         return None
     size = np.sqrt(np.mean([(one.traces**2).mean(axis=0) for one in told], axis=0))
     off_cm = np.sqrt(np.mean([(one.errors**2).mean() for one in told]))
@@ -117,15 +120,14 @@ def forgotten(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> Forgott
     share = share_of([one.errors for one in told])
     draw = np.random.default_rng(_SEED)
     by_chance = np.array([share_of([_turned(one, draw) for one in told]) for _ in range(_DRAWS)])
-    p_value = (1.0 + np.count_nonzero(by_chance >= share)) / (_DRAWS + 1.0)
+    as_much = np.count_nonzero(by_chance >= share * (1.0 - _ROUNDING))
+    p_value = (1.0 + as_much) / (_DRAWS + 1.0)
     tau_h, interval_h = _time_constant_h(told, draw)
     return Forgotten(share, float(by_chance.mean()), float(p_value), tau_h, interval_h)
 
 
 def _course_of(simulator: Simulator[Any], run: MeasuredRun) -> _Course | None:
     """A run's errors and traces where every row was measured; None where it is too short, or has too few of them."""
-    if run.hours < _SHORTEST_H:
-        return None
     known = run.is_measured
     rows = np.flatnonzero(known[:-1] & known[1:])
     stems = simulator.step(simulator.start(run.points_cm[rows]), run.light[rows], run.step_s)[1]
@@ -143,7 +145,8 @@ def _course_of(simulator: Simulator[Any], run: MeasuredRun) -> _Course | None:
     if len(means) <= 2 * len(present):
         return None
     size = np.sqrt((means[:, : len(present)] ** 2).mean(axis=0))
-    basis, _ = np.linalg.qr(means[:, : len(present)] / np.maximum(size, _SMALL))
+    basis, weight, _ = np.linalg.svd(means[:, : len(present)] / np.maximum(size, _SMALL), full_matrices=False)
+    basis = basis[:, weight > _ROUNDING * weight[0]]  # a lamp that stays is no column of its own
     left = means[:, len(present) :] - basis @ (basis.T @ means[:, len(present) :])
     traces, alone = np.split(left[:, 1:], [len(_TRACES_H)], axis=1)
     return _Course(basis, left[:, 0], traces, alone, at * count * run.step_s / _H)
@@ -157,9 +160,11 @@ def _slow(hour: Array, hours: float) -> Array:
 
 
 def _trace(side: Array, time_constant_h: float, step_s: float) -> Array:
-    """What is left of lamps that are forgotten within a time, the row's own among them; shape as ``side``."""
+    """What is left of lamps that are forgotten within a time, the row's own among them; shape as ``side``. The first
+    one is taken to have shone for long."""
     kept = float(np.exp(-step_s / _H / time_constant_h))
-    return np.asarray(scipy.signal.lfilter([1.0 - kept], [1.0, -kept], side), dtype=np.float64)
+    trace, _ = scipy.signal.lfilter([1.0 - kept], [1.0, -kept], side, zi=kept * side[:1])
+    return np.asarray(trace, dtype=np.float64)
 
 
 def _turned(one: _Course, draw: np.random.Generator) -> Array:
@@ -179,6 +184,6 @@ def _time_constant_h(told: Sequence[_Course], draw: np.random.Generator) -> tupl
             power.append((one.alone[own] ** 2).sum(axis=0))
     weights = np.concatenate([np.ones((1, len(along))), draw.poisson(1.0, (_DRAWS, len(along)))])
     explained = (weights @ np.array(along)) ** 2 / np.maximum(weights @ np.array(power), _SMALL)
-    best = _ALONE_H[explained.argmax(axis=1)]
+    best = _ALONE_H[explained[weights.any(axis=1)].argmax(axis=1)]
     low, high = np.quantile(best[1:], [(1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0])
     return float(best[0]), (float(min(low, best[0])), float(max(high, best[0])))

@@ -4,7 +4,7 @@ Both are the paper's own: pairs of photographs in which a stem does not move by 
 plants that live too fast; and single shuffled steps carry nothing from one to the next, so that whatever a plant
 remembers of its light and of its own motion cannot be in the model.
 
-What confidences and intervals of these two are worth was counted on simulators of drawn worlds
+How often they are found, and what intervals of a clock are worth, was counted on simulators of drawn worlds
 (``make discovery-simulators``, docs/results/discovery.md).
 """
 
@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
+from flora_common.arrays import Array
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.forgotten import forgotten
 from flora_lab.diagnose.verdict import LEAST_P, SUREST
@@ -32,13 +33,13 @@ _CLEAR: Final = 1.15
 """A clock that is wrong by less is not told from individuals."""
 _BETTER: Final = 0.9
 """The error at the right clock, over that at the simulator's own, below which it matters."""
-_SURE: Final = 0.9
-"""Confidence from which a clock is called wrong."""
 _LEVEL: Final = 0.9
-PLANTS_DIFFER: Final = 0.15
+"""Of the interval, which must leave out a clock that is right."""
+_PLANTS_DIFFER: Final = 0.15
 """By which the logarithms of plants' own factors differ where few plants tell; it counts as much as
-:data:`_AS_PLANTS` plants."""
+:data:`_AS_PLANTS` plants. Their growth differs by 13 % (docs/how-to/train-a-simulator.md), other constants by more."""
 _AS_PLANTS: Final = 4
+_BEYOND: Final = "; the truth may lie beyond what was searched"
 _MOMENTS: Final = 24
 """How often it is looked whether the simulator cares for the past."""
 _PAST_H: Final = 6.0
@@ -73,8 +74,8 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
     factor = scale.factor.value
     if scale.error_mm > _BETTER * scale.error_as_is_mm or abs(math.log(factor)) < math.log(_CLEAR):
         return None
-    half, sure = how_sure(factor, np.log(scale.of_each))
-    if sure < _SURE:
+    half, sure = clock_interval(factor, np.log(scale.of_each))
+    if half >= max(factor, 1.0 / factor):
         return None
     effect = BY_NAME[TIME_SCALE]
     told = (
@@ -85,27 +86,29 @@ def _clock(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCause
         effect=effect.name,
         parameters={"factor": factor},
         interval={"factor": (factor / half, factor * half)},
-        confidence=min(sure, SUREST),
+        confidence=min(round(sure, 3), SUREST),
         p_value=max(LEAST_P, 2.0 * (1.0 - sure)),
         confusable_with=["growth_rate"],
-        evidence=sentence[0].upper() + sentence[1:] + told + ".",
+        evidence=f"{sentence[0].upper()}{sentence[1:]}{told}{_BEYOND if scale.at_edge else ''}.",
         nats=0.0,
     )
 
 
-def how_sure(factor: float, of_each: np.ndarray) -> tuple[float, float]:
+def clock_interval(factor: float, of_each: Array) -> tuple[float, float]:
     """By which factor the ends of the 90 % interval of a clock lie to either side, and how likely it is wrong to the
     side that it is told to be.
 
-    Student's, of plants' own factors, whose variance is held to what plants usually have where they are few.
+    Student's, of plants' own factors, whose variance is held to what plants usually have where they are few; as far as
+    these lie about another factor, it is wider.
 
     Args:
         factor: how many times too fast it is.
         of_each: logarithm of each plant's own factor, shape (plants,).
     """
     freedom = _AS_PLANTS + len(of_each) - 1
-    squares = float(((of_each - of_each.mean()) ** 2).sum()) + _AS_PLANTS * PLANTS_DIFFER**2
-    error = math.sqrt(squares / freedom / len(of_each))
+    squares = float(((of_each - of_each.mean()) ** 2).sum()) + _AS_PLANTS * _PLANTS_DIFFER**2
+    aside = math.log(factor) - float(of_each.mean())
+    error = math.sqrt(squares / freedom / len(of_each) + aside**2)
     half = float(stdtrit(freedom, (1.0 + _LEVEL) / 2.0)) * error
     return math.exp(half), float(stdtr(freedom, abs(math.log(factor)) / error))
 
@@ -122,7 +125,7 @@ def _memory(simulator: Simulator[Any], runs: Sequence[MeasuredRun]) -> NamedCaus
         effect=MEMORY,
         parameters={"time_constant_h": found.time_constant_h},
         interval={"time_constant_h": found.interval_h},
-        confidence=min(1.0 - found.p_value, SUREST),
+        confidence=min(round(1.0 - found.p_value, 3), SUREST),
         p_value=found.p_value,
         confusable_with=[],
         evidence=(

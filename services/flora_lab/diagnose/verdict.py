@@ -57,7 +57,7 @@ _LEAST_SD: Final = 0.10
 _LEFT_P: Final = 0.003
 _MOSTLY: Final = 0.6
 SUREST, LEAST_P = 0.999, 1e-6
-"""What is told at most of a confidence, and at least of a p-value: nothing beyond was counted, in some 700 claims."""
+"""What is told at most of a confidence, and at least of a p-value: beyond nothing was counted, in 700 claims."""
 _UNSURE: Final = 0.3
 """Confidence that a cause keeps at most where much is left unexplained."""
 TIPPED: Final = ("camera_roll", "camera_drift")

@@ -24,11 +24,11 @@ EFFECT: Final = Effect(
         Parameter(
             name="time_constant_h",
             none=None,
-            low=0.05,
+            low=0.1,
             high=4.0,
             scale="log",
             meaning="of the trace of the lamps that tells most of the simulator's errors",
-            source="from one photograph to half of six hours' turns",
+            source="from two photographs to most of a lamp's turn of six hours",
         ),
     ),
     forms=(),

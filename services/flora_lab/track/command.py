@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -135,7 +136,7 @@ def track(
         looks = learning.needs_a_look(source, rule, path=path)
         looked = stage("lamp states", count) if looks else lambda: None
         lamps = learning.sort_frames(source, span, rule, pool, path=path, on_frame=looked)
-        learnt, how = _prepare(source, camera, settings, lamps, stage)
+        learnt, how = _prepare(source, camera, settings, lamps, stage, between_s)
         how.memory = part.memory
         found = stage("stems", count, resumed)
         rest = Span(span.first + resumed, span.end).take(source.frames())
@@ -172,6 +173,7 @@ def _prepare(
     settings: PathSettings | PaperSettings,
     lamps: Sorted,
     stage: screen.Stage,
+    between_s: float,
 ) -> tuple[Learnt, Method]:
     """The empty setup, and the method that stands on it."""
     background = source.background() if isinstance(source, RunSource) else []
@@ -181,7 +183,7 @@ def _prepare(
         if isinstance(settings, PathSettings):
             learnt = learning.path_setup(source, background, camera, settings, lamps, on_frame=learns)
             assert isinstance(learnt.setup, EmptySetup)
-            how = PathMethod(learnt.setup, camera, settings)
+            how = PathMethod(learnt.setup, camera, settings, shortest_gap_s=_shortest_gap_s(source, between_s))
         else:
             learnt = learning.paper_setup(source, background, settings, lamps, on_frame=learns)
             assert not isinstance(learnt.setup, EmptySetup)
@@ -190,6 +192,14 @@ def _prepare(
         named = str(problem).startswith(source.name)
         raise problem if named else BadInput(f"{source.name}: {problem}") from problem
     return learnt, how
+
+
+def _shortest_gap_s(source: RunSource | FolderSource | FilmSource, between_s: float) -> float:
+    """Between two frames, where times are not told ``between_s``."""
+    if not isinstance(source, RunSource):
+        return between_s
+    times_s = [row.time_s for row in source.rows]
+    return min((after - before for before, after in itertools.pairwise(times_s)), default=between_s)
 
 
 def _summed(source: RunSource | FolderSource | FilmSource, part: PartFile) -> Summary:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,7 +12,9 @@ from flora_common.runs import CameraSection, Light
 from flora_common.vision.lamp_states import EmptySetup
 from flora_common.vision.paper import PaperSettings, PaperTracker
 from flora_common.vision.path.memory import Memory
+from flora_common.vision.path.nearby import LONGEST_S
 from flora_common.vision.path.settings import PathSettings
+from flora_common.vision.path.sight import Sight
 from flora_common.vision.path.tracker import Glance, PathTracker
 from flora_common.vision.picture import Picture, Reduction
 from flora_common.vision.reading import StemReading
@@ -49,26 +51,35 @@ class Method(Protocol):
 
 
 class PathLook:
-    """What the path method finds in a picture without regard to others."""
+    """What the path method finds in a picture without regard to others: at a quarter of its size, or in all of it."""
 
-    def __init__(self, tracker: PathTracker) -> None:
-        self._tracker = tracker
+    def __init__(self, tracker: PathTracker, *, whole: bool) -> None:
+        self._look: Callable[[Picture], Glance | Sight] = tracker.look if whole else tracker.glance
         self.reduction: Reduction = tracker.seen.reduction
 
-    def __call__(self, picture: Picture) -> Glance:
-        return self._tracker.glance(picture)
+    def __call__(self, picture: Picture) -> Glance | Sight:
+        return self._look(picture)
 
 
 class PathMethod:
     """The path method, as the rig has it: what a quarter of the size shows is found in any order, the stem in turn.
 
+    Args:
+        setup: the empty setup.
+        camera: anchor and scale, px of the full picture.
+        settings: numbers of the method.
+        shortest_gap_s: between two pictures. Where that is so long that none is read near the stem of the one before,
+            all of each picture is looked at in any order, which comes to the same.
+
     Raises:
         BadInput: setup and camera disagree, or no pixel is left in the window.
     """
 
-    def __init__(self, setup: EmptySetup, camera: CameraSection, settings: PathSettings) -> None:
+    def __init__(
+        self, setup: EmptySetup, camera: CameraSection, settings: PathSettings, *, shortest_gap_s: float
+    ) -> None:
         self._tracker = PathTracker(setup, camera, settings)
-        self.look: Look = PathLook(self._tracker)
+        self.look: Look = PathLook(self._tracker, whole=shortest_gap_s > LONGEST_S)
 
     @property
     def memory(self) -> object:
@@ -78,7 +89,9 @@ class PathMethod:
     def memory(self, stored: object) -> None:
         self._tracker.memory = None if stored is None else msgspec.convert(stored, Memory)
 
-    def follow(self, sight: Glance, light: Light, time_s: float) -> StemReading:
+    def follow(self, sight: Glance | Sight, light: Light, time_s: float) -> StemReading:
+        if isinstance(sight, Sight):
+            return self._tracker.follow(sight, time_s)
         return self._tracker.read_on(sight, time_s)
 
 

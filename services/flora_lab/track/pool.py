@@ -18,8 +18,8 @@ from flora_lab.threads import on_one_core
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-WAITING_PER_THREAD: Final = 3
-"""Tasks handed out and results not yet taken, per thread."""
+WAITING: Final = 2
+"""Results that may wait for their turn, besides a task in each thread: each is a picture with all that was found."""
 
 
 class Pool:
@@ -48,6 +48,7 @@ class Pool:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._held.close()
+        self._threads = None
 
     def map(self, work: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """``work(task)`` for each task, in the order of the tasks, which are taken as they are needed.
@@ -62,9 +63,13 @@ class Pool:
             yield from map(work, tasks)
             return
         waiting: deque[Future[Result]] = deque()
-        for task in tasks:
-            waiting.append(self._threads.submit(work, task))
-            if len(waiting) >= WAITING_PER_THREAD * self.jobs:
+        try:
+            for task in tasks:
+                waiting.append(self._threads.submit(work, task))
+                if len(waiting) >= self.jobs + WAITING:
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+        finally:  # nobody takes what is left
+            for one in waiting:
+                one.cancel()
