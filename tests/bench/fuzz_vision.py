@@ -1,6 +1,6 @@
 """Damaged pictures against the stem finder: cut, flipped, black, foreign, a hand in view, two plants, and good ones.
 
-    make fuzz-vision                                              10,000 pictures, forty minutes on two cores
+    make fuzz-vision                                              10,000 pictures, some thirty-five minutes on two cores
     .venv/bin/python tests/bench/fuzz_vision.py --pictures 500    fewer
 
 Each picture is read twice, decoded as the services do: by a tracker that has seen nothing before, and by one that has
