@@ -186,4 +186,5 @@ def _time_constant_h(told: Sequence[_Course], draw: np.random.Generator) -> tupl
     explained = (weights @ np.array(along)) ** 2 / np.maximum(weights @ np.array(power), _SMALL)
     best = _ALONE_H[explained[weights.any(axis=1)].argmax(axis=1)]
     low, high = np.quantile(best[1:], [(1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0])
-    return float(best[0]), (float(min(low, best[0])), float(max(high, best[0])))
+    about = float(np.sqrt(_ALONE_H[1] / _ALONE_H[0]))  # each of those tried stands for what lies half a step about it
+    return float(best[0]), (float(min(low, best[0])) / about, float(max(high, best[0])) * about)
