@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -134,3 +134,28 @@ def write_straight(path: Path, *, speed: float = 1.0, shift_cm: float = 0.0, bey
         provenance=Provenance(recipe="straight", seed=0, software="test"),
     )
     return path
+
+
+class Forgetful(Simulator[FloatArray]):
+    """Of the past nothing counts but the last stem. What its ``step`` does is told by those that derive from it."""
+
+    kind: ClassVar[str] = "forgetful"
+    step_s = STEP_S
+
+    @classmethod
+    def from_stored(cls, stored: Stored) -> Self:
+        return cls()
+
+    def start(
+        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
+    ) -> FloatArray:
+        return points_cm.copy()
+
+    def watch(self, history: History) -> FloatArray:
+        return np.asarray(history.points_cm[-1]).copy()
+
+    def stems_cm(self, state: FloatArray) -> FloatArray:
+        return state
+
+    def is_beyond_data(self, state: FloatArray) -> Any:
+        return np.zeros(len(state), dtype=np.bool_)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnose_runs import red_noise, turns
-from simulator_fakes import half_as_often
+from simulator_fakes import Forgetful, half_as_often
 
 from flora_common.arrays import FloatArray
 from flora_lab.diagnose.forgotten import forgotten
-from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
+from flora_lab.simulator.interface import Covariates
 from flora_lab.simulator.measured import MeasuredRun
-from flora_lab.simulator.store import Stored
 
 STEP_S = 300.0
 FIRST_CM, GROWTH_CM_H = 8.0, 0.08
@@ -22,23 +21,8 @@ ALONG = np.linspace(0.0, 1.0, 10) ** 2
 BACK_PER_H, AWAY_CM_H = 0.15, 0.8
 
 
-class Forgets(Simulator[FloatArray]):
+class Forgets(Forgetful):
     """The tip goes to the lit lamp and back to the middle, at once and for ever alike."""
-
-    kind: ClassVar[str] = "forgets"
-    step_s = STEP_S
-
-    @classmethod
-    def from_stored(cls, stored: Stored) -> Forgets:
-        return cls()
-
-    def start(
-        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
-    ) -> FloatArray:
-        return points_cm.copy()
-
-    def watch(self, history: History) -> FloatArray:
-        return np.asarray(history.points_cm[-1]).copy()
 
     def step(
         self, state: FloatArray, light: FloatArray, dt_s: float, covariates: Covariates | None = None
@@ -48,12 +32,6 @@ class Forgets(Simulator[FloatArray]):
         pull = AWAY_CM_H * (light[:, 1] - light[:, 0])[:, None] - BACK_PER_H * state[:, -1:, 0]
         after[..., 0] += hours * ALONG * pull
         return after, after
-
-    def stems_cm(self, state: FloatArray) -> FloatArray:
-        return state
-
-    def is_beyond_data(self, state: FloatArray) -> Any:
-        return np.zeros(len(state), dtype=np.bool_)
 
 
 def plant(seed: int, *, memory_h: float, hours: float = 72.0, wander: float = 0.4, turns_h: float = 6.0) -> MeasuredRun:

@@ -3,44 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from diagnose_runs import LAMPS, QUIET, TYPICAL, base, change_of, run_of, turns
-from simulator_fakes import straight_run, write_straight
+from simulator_fakes import Forgetful, straight_run, write_straight
 
 from flora_common.arrays import FloatArray
 from flora_lab.diagnose import emulated, stored_base
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.diagnose.learned_simulator import clock_interval, faults_of, still_wrong
 from flora_lab.simulator.growing import DataRange
-from flora_lab.simulator.interface import Chance, Covariates, History, Simulator
+from flora_lab.simulator.interface import Covariates
 from flora_lab.simulator.load import KINDS, load
 from flora_lab.simulator.measured import MeasuredRun
 from flora_lab.simulator.rod_simulator import RodSimulator
-from flora_lab.simulator.store import Extension, Stored
+from flora_lab.simulator.store import Extension
 
 GROWTHS = (0.1, 0.12, 0.14, 0.11, 0.13)
 
 
-class Forgetful(Simulator[FloatArray]):
+class Bends(Forgetful):
     """Bends towards the lit lamp as fast as plants do on the mean, from the stem alone."""
-
-    kind: ClassVar[str] = "forgetful"
-    step_s = 300.0
-
-    @classmethod
-    def from_stored(cls, stored: Stored) -> Forgetful:
-        return cls()
-
-    def start(
-        self, points_cm: FloatArray, chance: Chance | None = None, before: FloatArray | None = None
-    ) -> FloatArray:
-        return points_cm.copy()
-
-    def watch(self, history: History) -> FloatArray:
-        return np.asarray(history.points_cm[-1]).copy()
 
     def step(
         self, state: FloatArray, light: FloatArray, dt_s: float, covariates: Covariates | None = None
@@ -51,12 +35,6 @@ class Forgetful(Simulator[FloatArray]):
         after[..., 0] += 0.15 * hours * along * (light[:, 1] - light[:, 0])[:, None]
         after[..., 1] *= 1.0 + 0.018 * hours
         return after, after
-
-    def stems_cm(self, state: FloatArray) -> FloatArray:
-        return state
-
-    def is_beyond_data(self, state: FloatArray) -> Any:
-        return np.zeros(len(state), dtype=np.bool_)
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +56,7 @@ def straight(growths: tuple[float, ...] = GROWTHS) -> list[MeasuredRun]:
 
 
 def test_a_simulator_without_memory_is_told() -> None:
-    faults = {fault.effect: fault for fault in faults_of(Forgetful(), plants())}
+    faults = {fault.effect: fault for fault in faults_of(Bends(), plants())}
     fault = faults["memory"]
     assert fault.p_value < 0.01
     assert fault.confidence == 1.0 - fault.p_value
@@ -90,7 +68,7 @@ def test_a_simulator_without_memory_is_told() -> None:
 
 
 def test_a_day_of_one_plant_is_too_short_for_a_memory() -> None:
-    assert [fault.effect for fault in faults_of(Forgetful(), plants(1))] == []
+    assert [fault.effect for fault in faults_of(Bends(), plants(1))] == []
 
 
 def test_a_growing_simulator_remembers() -> None:
@@ -191,7 +169,7 @@ def test_simulated_runs_are_the_same_every_time() -> None:
 
 
 def test_a_simulator_without_chance_gives_the_same_plant_again() -> None:
-    told = emulated.reference_of(Forgetful(), measured(run_of(1, hours=12.0)))
+    told = emulated.reference_of(Bends(), measured(run_of(1, hours=12.0)))
     assert told.measured[0].points_cm.tobytes() == told.measured[4].points_cm.tobytes()
     assert np.abs(told.measured[0].points_cm[-1] - told.measured[1].points_cm[-1]).max() > 0.1
     assert TYPICAL.shape == (9,)
