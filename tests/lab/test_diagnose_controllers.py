@@ -75,6 +75,7 @@ def filled() -> dict[str, Any]:
 # What is compared
 
 
+@pytest.mark.slow
 def test_both_kinds_are_compared_on_plants_with_what_was_found() -> None:
     fitness, stages, notes = compared(result(EXTENSION))
     assert notes == []

@@ -46,6 +46,7 @@ def test_healthy_runs_show_next_to_nothing_in_each_other() -> None:
     assert claim(known()) < FIRST + 1.0
 
 
+@pytest.mark.slow
 def test_a_reference_that_is_not_alike_shows_causes_in_itself_and_asks_for_more() -> None:
     found = not_alike().cross_fit
     assert min(found[0].max(), found[2].max()) > 1.0  # the folds with the rolled cameras

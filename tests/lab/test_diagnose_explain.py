@@ -53,6 +53,7 @@ def test_what_was_hidden_is_named() -> None:
     assert explained("unequal").found.values()[0]["right_to_left"] == pytest.approx(0.5, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_lamp_that_changes_after_the_record_ends_is_taken_for_nothing_else() -> None:
     """After two days the clock is two hours behind, and the plants saw a change that no record tells of."""
     light = turns(52.0, 48.2 / 8)

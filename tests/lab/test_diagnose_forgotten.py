@@ -76,10 +76,10 @@ def test_what_plants_remember_and_a_simulator_forgets_is_found(memory_h: float) 
 
 def test_where_nobody_remembers_nothing_is_told() -> None:
     """A plant's chance lasts for hours, and measuring makes each step go back: neither is a memory of lamps."""
-    p_values = [one.p_value for seed in range(60) if (one := forgotten(Forgets(), plants(seed, memory_h=0.0)))]
-    assert len(p_values) == 60
-    assert sum(p <= 0.01 for p in p_values) <= 2
-    assert sum(p <= 0.1 for p in p_values) <= 12
+    p_values = [one.p_value for seed in range(30) if (one := forgotten(Forgets(), plants(seed, memory_h=0.0)))]
+    assert len(p_values) == 30
+    assert sum(p <= 0.01 for p in p_values) <= 1
+    assert sum(p <= 0.1 for p in p_values) <= 7
     assert 0.3 < np.median(p_values) < 0.7
 
 

@@ -109,6 +109,7 @@ def gusty_explanation() -> Explanation:
         return Explainer([Scene(gusty(84), LAW)], known()).explain()
 
 
+@pytest.mark.slow
 def test_a_gusty_draught_is_named_and_leaves_nothing() -> None:
     explanation = gusty_explanation()
     left = left_of(explanation, known())

@@ -28,7 +28,14 @@ ROUNDING_CM = 1e-3
 """Of float32 in the paper's network, over eight hours."""
 
 
-@pytest.mark.parametrize(("make", "off_cm"), [(learned, 1e-9), (paper, ROUNDING_CM), (mended, ROUNDING_CM)])
+@pytest.mark.parametrize(
+    ("make", "off_cm"),
+    [
+        (learned, 1e-9),
+        pytest.param(paper, ROUNDING_CM, marks=pytest.mark.slow),
+        pytest.param(mended, ROUNDING_CM, marks=pytest.mark.slow),
+    ],
+)
 def test_a_course_is_that_of_the_simulator(make: Callable[[], LearnedSimulator], off_cm: float) -> None:
     simulator, is_right = CorrectedSimulator(make(), extended()), np.random.default_rng(1).random((100, 9)) < 0.5
     found = courses(simulator, is_right)
