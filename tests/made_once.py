@@ -6,7 +6,7 @@ import fcntl
 import pickle
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar
 
 Made = TypeVar("Made")
 
@@ -39,4 +39,5 @@ def made_once(name: str, make: Callable[[], Made]) -> Made:
             beside.write_bytes(pickle.dumps(made))
             beside.replace(place)
             return made
-    return cast(Made, cast(Any, pickle.loads(place.read_bytes())))
+    read: Made = pickle.loads(place.read_bytes())
+    return read

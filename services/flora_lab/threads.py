@@ -17,16 +17,10 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-def one_core() -> None:
-    """OpenCV and products of matrices use one for as long as this process lives: workers share the others out among
-    themselves."""
-    cv2.setNumThreads(1)
-    threadpool_limits(limits=1, user_api="blas")
-
-
 @contextlib.contextmanager
 def on_one_core() -> Iterator[None]:
-    """The same for a while."""
+    """OpenCV and products of matrices use one for a while: those who work side by side share the others out among
+    themselves. Is a decorator, too."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

@@ -49,7 +49,7 @@ from flora_common.vision.path.memory import Memory  # noqa: E402
 from flora_common.vision.path.tracker import PathTracker, Sight  # noqa: E402
 from flora_common.vision.picture import Picture, decode_picture  # noqa: E402
 from flora_common.vision.reading import NO_STEM, OK, StemReading  # noqa: E402
-from flora_lab.threads import one_core  # noqa: E402
+from flora_lab.threads import on_one_core  # noqa: E402
 from truth_run import TruthFrame, twin_run  # noqa: E402
 
 FIRST_SEED: Final = 70_001
@@ -229,9 +229,9 @@ def is_same_tip(tip_cm: FloatArray | None, other_cm: FloatArray | None) -> bool:
     return 10.0 * float(np.hypot(*(tip_cm - other_cm))) < SAME_TIP_MM
 
 
+@on_one_core()
 def fuzzed(family: str, seed: int, count: int) -> list[Result]:
     """Results of one individual; in a process of its own."""
-    one_core()
     silenced = os.open(os.devnull, os.O_WRONLY)  # the JPEG library prints a line for each damaged file
     kept = os.dup(2)
     os.dup2(silenced, 2)

@@ -33,12 +33,10 @@ from flora_common import files
 from flora_common.cli import run_cli
 from flora_common.errors import BadInput
 from flora_common.tracks import Track
-from flora_lab.diagnose import stored_base
-from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.inputs import Runs, read_reference, read_runs
-from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.learned_base import learned_base
 from flora_lab.diagnose.learned_simulator import MEMORY, TIME_SCALE, faults_of, still_wrong
 from flora_lab.diagnose.verdict import left_of, named
 from flora_lab.diagnose.work import extensions_of
@@ -46,12 +44,10 @@ from flora_lab.rollout.at_time_scale import AtTimeScale
 from flora_lab.run_tracks import RunTrack
 from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.load import simulator_of
-from flora_lab.simulator.rod_simulator import RodSimulator
 from flora_lab.simulator.store import read_stored, write_simulator
-from flora_lab.threads import one_blas_thread, one_core
+from flora_lab.threads import on_one_core, one_blas_thread
 from flora_lab.train import paper
 from flora_lab.train.checkpoint import checkpoint_path
-from flora_lab.train.growing import range_of
 from flora_lab.train.progress import shown
 from flora_lab.train.recipes import TrainOptions
 
@@ -116,14 +112,7 @@ class World:
         self._number = 0
         first = self._written("none", None)
         self.reference = read_reference(first / "reference", read_runs(sorted((first / "measured").iterdir())))
-        self.usual_c = self.reference.usual_temperature_c()
-        with one_blas_thread():
-            self.known: Knowledge = learn_from(self.reference.scenes(self.usual_c))
-        lamps = next(run.lamps for run in self.reference.measured if run.lamps is not None)
-        shown_cm = range_of(self.reference.measured)
-        self.rod: RodSimulator = stored_base.simulator_of(
-            self.known.base, lamps, shown_cm, self.usual_c, self.known.law
-        )
+        self.rod, self.known, _ = learned_base(self.reference, "the reference")
 
     def plants(self, effect: str | None) -> Runs:
         """Three others each time."""
@@ -199,7 +188,7 @@ def clock(rng: np.random.Generator) -> float:
 def left_beside_effects(faults: Sequence[NamedCause], world: World, runs: Runs) -> list[NamedCause]:
     """The faults that a diagnosis tells beside the effects that it finds in the plants."""
     with one_blas_thread():
-        explanation = Explainer(runs.scenes(world.usual_c, world.rod.terms), world.known).explain()
+        explanation = Explainer(runs.scenes(world.rod.usual_temperature_c, world.rod.terms), world.known).explain()
     causes = named(explanation, left_of(explanation, world.known))
     extensions = extensions_of(causes)
     return still_wrong(faults, world.rod.extended(extensions), runs.measured) if extensions else list(faults)
@@ -215,10 +204,10 @@ def told(fault: NamedCause) -> dict[str, Any]:
     }
 
 
+@on_one_core()
 def judge_world(seed: int, form: int) -> list[Judged]:
     """In a process of its own, which leaves Ctrl-C to that which waits for it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    one_core()
     with tempfile.TemporaryDirectory(prefix="simulators-") as scratch:
         return list(judged_in(seed, form, Path(scratch)))
 

@@ -15,8 +15,9 @@ from flora_lab.diagnose import work
 from flora_lab.diagnose.inputs import Runs
 from flora_lab.main import main
 from flora_lab.simulator.corrected import CorrectedSimulator
+from flora_lab.simulator.load import load
 from flora_lab.simulator.paper import PaperSimulator
-from flora_lab.simulator.store import Extension, Provenance, read_stored, write_simulator
+from flora_lab.simulator.store import Extension, Provenance, write_simulator
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +82,8 @@ def test_a_corrected_simulator_of_plants_that_differ_is_started_from(
     assert main(["diagnose", str(runs / "measured" / "plant10.csv"), "--simulator", str(path), "-o", "out"]) == 2
     ends_cm = np.array([run.points_cm[-1, -1] for run in known[0].measured])
     assert len(np.unique(ends_cm[:, 0])) == len(ends_cm)
-    start = work.Start(mechanistic(), None, None, Provenance("t", 0, "t"), "", is_new=True, judged=read_stored(path))
     further = Extension("growth_rate", {"factor": 1.2})
-    again = work.corrected_by(start, [further], None)
+    again = work.corrected_by(load(path), mechanistic(), [further])
     assert isinstance(again, CorrectedSimulator)
     assert again.learned.kind == simulator.learned.kind
     assert again.extensions == (*simulator.extensions, further)

@@ -15,7 +15,6 @@ from flora_lab.worker_process import Worker, WorkerLost, start_workers
 START = """
 import os, signal, sys
 from flora_lab import worker_process
-from flora_lab.threads import one_core
 
 start = worker_process.Worker.__init__
 
@@ -28,7 +27,7 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     workers = []
     try:
-        worker_process.start_workers(workers, 2, one_core)
+        worker_process.start_workers(workers, 2, os.getpid)
     except KeyboardInterrupt:
         print(len(workers), "started", flush=True)
     for worker in workers:

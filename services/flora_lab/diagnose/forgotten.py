@@ -90,10 +90,6 @@ class _Course:
     alone: Array
     at_h: Array
 
-    def without_present(self, values: Array) -> Array:
-        """What slow course, lamp and stem do not tell of some values, first axis time."""
-        return np.asarray(values - self.present @ (self.present.T @ values), dtype=np.float64)
-
     def stretches(self, first_h: float = 0.0) -> Array:
         """Number of the stretch that each time is in."""
         return np.floor((self.at_h + first_h) / _STRETCH_H).astype(np.int64)
@@ -147,9 +143,14 @@ def _course_of(simulator: Simulator[Any], run: MeasuredRun) -> _Course | None:
     size = np.sqrt((means[:, : len(present)] ** 2).mean(axis=0))
     basis, weight, _ = np.linalg.svd(means[:, : len(present)] / np.maximum(size, _SMALL), full_matrices=False)
     basis = basis[:, weight > _ROUNDING * weight[0]]  # a lamp that stays is no column of its own
-    left = means[:, len(present) :] - basis @ (basis.T @ means[:, len(present) :])
+    left = _without(basis, means[:, len(present) :])
     traces, alone = np.split(left[:, 1:], [len(_TRACES_H)], axis=1)
     return _Course(basis, left[:, 0], traces, alone, at * count * run.step_s / _H)
+
+
+def _without(basis: Array, values: Array) -> Array:
+    """What orthonormal columns do not tell of some values, first axis time."""
+    return np.asarray(values - basis @ (basis.T @ values), dtype=np.float64)
 
 
 def _slow(hour: Array, hours: float) -> Array:
@@ -170,7 +171,7 @@ def _trace(side: Array, time_constant_h: float, step_s: float) -> Array:
 def _turned(one: _Course, draw: np.random.Generator) -> Array:
     """A run's errors with a sign drawn for each stretch; where these begin is drawn, too."""
     stretches = one.stretches(float(draw.uniform(0.0, _STRETCH_H)))
-    return one.without_present(one.errors * draw.choice([-1.0, 1.0], stretches.max() + 1)[stretches])
+    return _without(one.present, one.errors * draw.choice([-1.0, 1.0], stretches.max() + 1)[stretches])
 
 
 def _time_constant_h(told: Sequence[_Course], draw: np.random.Generator) -> tuple[float, tuple[float, float]]:

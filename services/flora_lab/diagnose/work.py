@@ -43,6 +43,7 @@ from flora_lab.diagnose.summary import nearest, summary
 from flora_lab.diagnose.verdict import Left, beside_a_knock, left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.simulator.corrected import CorrectedSimulator, LearnedSimulator
+from flora_lab.simulator.interface import Simulator
 from flora_lab.simulator.load import simulator_of
 from flora_lab.simulator.paper import PaperSimulator
 from flora_lab.simulator.rod_simulator import RodSimulator
@@ -200,17 +201,18 @@ def diagnose(
         causes = named(explanation, left)
         if runs.knocked:
             causes = beside_a_knock(causes)
-        faults = faults_of(simulator_of(start.judged), runs.measured) if start.judged is not None else []
-        beside = corrected_by(start, extensions_of(causes), None)
+        given = None if start.judged is None else simulator_of(start.judged)
+        faults = [] if given is None else faults_of(given, runs.measured)
+        beside = corrected_by(given, start.simulator, extensions_of(causes))
         if beside is not None:
             faults = still_wrong(faults, beside, runs.measured)
-        mended = _mended(start, faults, runs, further)
+        mended = _mended(given, faults, runs, further)
         said, tables = residuals_of(scenes, known.base, explanation.null, known.residuals)
         extended_tables = _extended(scenes, known, explanation)
         step = stage("measuring the gain", len(scenes) + (len(further.measured) if further else 0))
         held_out = further.scenes(start.usual_c, terms) if further else []
         gain = measure_gain(scenes, known.base, explanation, held_out, step)
-        learned = _learned_gain(start, mended, explanation, runs, further)
+        learned = _learned_gain(given, start.simulator, mended, explanation, runs, further)
         asked = next_experiment(scenes, known.base, explanation, known.errors, known.swing)
     causes = [*faults, *causes]
     diagnosis = Diagnosis(
@@ -238,7 +240,7 @@ def diagnose(
     if extensions:
         moved = explanation.typical - known.base.mean
         extended = start.simulator.with_typical(moved).extended(extensions)
-    corrected = corrected_by(start, extensions, mended)
+    corrected = corrected_by(given if mended is None else mended.simulator, start.simulator, extensions)
     return Result(start, diagnosis, explanation, tables, extended_tables, extended, extensions, runs, corrected, mended)
 
 
@@ -246,36 +248,42 @@ def _considered(tried: Sequence[Tried]) -> dict[str, float]:
     return {one.effect.name: round(one.gain, 1) for one in tried if math.isfinite(one.gain)}
 
 
-def _mended(start: Start, faults: Sequence[NamedCause], runs: Runs, further: Runs | None) -> Mended | None:
-    learned = simulator_of(start.judged) if start.judged is not None else None
-    if not isinstance(learned, PaperSimulator):
+def _mended(
+    given: Simulator[Any] | None, faults: Sequence[NamedCause], runs: Runs, further: Runs | None
+) -> Mended | None:
+    if not isinstance(given, PaperSimulator):
         return None
-    return mended_of(learned, faults, runs.measured, further.measured if further else ())
+    return mended_of(given, faults, runs.measured, further.measured if further else ())
 
 
 def _learned_gain(
-    start: Start, mended: Mended | None, explanation: Explanation, runs: Runs, further: Runs | None
+    given: Simulator[Any] | None,
+    mechanistic: RodSimulator,
+    mended: Mended | None,
+    explanation: Explanation,
+    runs: Runs,
+    further: Runs | None,
 ) -> dict[str, Any]:
     """What the learned simulator that was given gains; nothing where none was."""
     if mended is not None:
         return mended.told()
-    learned = None if start.judged is None else simulator_of(start.judged)
-    if isinstance(learned, RodSimulator) or not isinstance(learned, LearnedSimulator):
+    if isinstance(given, RodSimulator) or not isinstance(given, LearnedSimulator):
         return {}
     held_out = further.measured if further is not None else ()
-    return corrected_gain(learned, start.simulator, explanation, runs.measured, held_out)
+    return corrected_gain(given, mechanistic, explanation, runs.measured, held_out)
 
 
-def corrected_by(start: Start, extensions: Sequence[Extension], mended: Mended | None) -> CorrectedSimulator | None:
-    """The learned simulator that was given, with what it lacks beside it; None where none was, or it lacks nothing."""
-    if start.judged is None or not extensions:
+def corrected_by(
+    learned: Simulator[Any] | None, mechanistic: RodSimulator, extensions: Sequence[Extension]
+) -> CorrectedSimulator | None:
+    """A learned simulator with what it lacks beside it; None where there is none, or it lacks nothing."""
+    if learned is None or not extensions:
         return None
-    learned = mended.simulator if mended is not None else simulator_of(start.judged)
     if isinstance(learned, CorrectedSimulator):
         return CorrectedSimulator(learned.learned, learned.mechanistic.extended(extensions))
     if isinstance(learned, RodSimulator) or not isinstance(learned, LearnedSimulator):
         return None
-    return CorrectedSimulator(learned, start.simulator.extended(extensions))
+    return CorrectedSimulator(learned, mechanistic.extended(extensions))
 
 
 def extensions_of(causes: Sequence[NamedCause]) -> tuple[Extension, ...]:

@@ -20,7 +20,7 @@ from bench.vision.methods import METHODS
 from drawings import drawn_run
 from flora_common.arrays import FloatArray
 from flora_common.runs import CameraSection
-from flora_lab.threads import one_core
+from flora_lab.threads import on_one_core
 from truth_run import FULL_PX, TruthFrame, TruthRun, twin_run
 
 FAMILIES: Final[dict[str, Callable[..., TruthRun]]] = {"twin": twin_run, "drawings": drawn_run}
@@ -114,11 +114,11 @@ class RunResult:
     stretch: list[TruthFrame] = field(default_factory=list)
 
 
+@on_one_core()
 def judge_run(
     family: str, seed: int, methods: Sequence[str], scale: Scale, progress: Progress, *, keep_stretch: bool = False
 ) -> RunResult:
     """Photograph one run and let every method read it."""
-    one_core()
     run = scale.run(family, seed)
     judged = scale.judged()
     wanted = set(judged)
@@ -169,6 +169,7 @@ class Timing:
     decode_ms: float
 
 
+@on_one_core()
 def time_methods(
     family: str, seed: int, frames: Sequence[TruthFrame], methods: Sequence[str], scale: Scale
 ) -> dict[str, Timing]:
@@ -179,7 +180,6 @@ def time_methods(
         frames: and some consecutive ones of it. The first tenth is for warming up and not counted.
         methods, scale: as for :func:`judge_run`.
     """
-    one_core()
     run = scale.run(family, seed)
     warm = -(-len(frames) // 10)
     out = {}
