@@ -21,7 +21,7 @@ from flora_common.suggest import did_you_mean
 
 from .worlds.case import ALL_EFFECTS, KINDS
 from .worlds.effects import CATALOGUE
-from .worlds.outside import OUTSIDE
+from .worlds.outside import ON_REQUEST, OUTSIDE
 
 SEEDS_PER_KIND = 100_000
 SEEDS_PER_JUDGING = SEEDS_PER_KIND * len(KINDS)
@@ -142,7 +142,7 @@ def parse_effects(text: str, kinds: Sequence[tuple[str, int]] = ()) -> list[str]
 
 
 def _kind_of(effect: str) -> str:
-    return "outside" if effect in OUTSIDE else "single"
+    return "outside" if effect in {**OUTSIDE, **ON_REQUEST} else "single"
 
 
 def _turn(kind: str, effects: Sequence[str]) -> list[str | None]:

@@ -311,18 +311,60 @@ def held_out_errors(outcomes: Sequence[Outcome]) -> dict[str, dict[str, tuple[fl
     return {horizon: {name: tuple(values) for name, values in own.items()} for horizon, own in found.items()}
 
 
-def named_share(outcomes: Sequence[Outcome]) -> GainShare:
-    """What the claims are worth at the end about plants whose own constants are known, as a share of the whole effect.
+def named_share(outcomes: Sequence[Outcome], when: str = "end") -> GainShare:
+    """What the claims are worth about plants whose own constants are known, as a share of the whole effect.
 
     Single effects and pairs take part, whether anything was named or not. How plants differ, which is more than most
     effects and tells nothing of a finder, is not in it.
+
+    Args:
+        outcomes: of the cases.
+        when: at the ``end``, or so long after the start (``6h``).
     """
     gains = []
     for outcome in outcomes:
-        own = outcome.truth.get("oracle", {}).get("own", {}).get("end")
-        if outcome.kind in {"single", "pair"} and outcome.named_mm is not None and own is not None:
-            gains.append((own["base_mm"] - outcome.named_mm["end"], own["base_mm"] - own["extended_mm"]))
+        own = outcome.truth.get("oracle", {}).get("own", {}).get(when)
+        told = (outcome.named_mm or {}).get(when)
+        if outcome.kind in {"single", "pair"} and told is not None and own is not None:
+            gains.append((own["base_mm"] - told, own["base_mm"] - own["extended_mm"]))
     return pooled(gains)
+
+
+@dataclass(frozen=True)
+class RhythmTold:
+    """A hidden rhythm that no cause of the catalogue has, and what was said of it.
+
+    Attributes:
+        of: ``growth``, ``activity`` (growth and bending), ``gain`` or ``bias``.
+        in_step: whether it is highest at the same time in all runs.
+        is_unexplained: whether the verdict is that.
+        is_of_that: whether what has no name is described as a rhythm of the same.
+        period_off: of its period, relative; NaN where none of it is told.
+    """
+
+    of: str
+    in_step: bool
+    is_unexplained: bool
+    is_of_that: bool
+    period_off: float
+
+
+def rhythms_told(outcomes: Sequence[Outcome]) -> list[RhythmTold]:
+    """Of all cases that hide one of other than 24 h."""
+    found = []
+    for outcome in outcomes:
+        for effect in outcome.truth["effects"]:
+            if effect["effect"] not in {"rhythm", "growth_bursts"}:
+                continue
+            true = effect["parameters"]
+            of = next((name.removesuffix("_amplitude") for name in true if name.endswith("_amplitude")), "activity")
+            told = (outcome.diagnosis or {}).get("described") or {}
+            period_h = told.get("period_h")
+            is_of_that = period_h is not None and told["drive"] == ("growth" if of == "activity" else of)
+            off = abs(period_h / true["period_h"] - 1.0) if is_of_that else math.nan
+            in_step = bool(true.get("in_step", False))
+            found.append(RhythmTold(of, in_step, outcome.verdict == "unexplained", is_of_that, off))
+    return found
 
 
 def pooled(gains: Sequence[tuple[float, float]]) -> GainShare:

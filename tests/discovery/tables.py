@@ -22,9 +22,17 @@ from .scoring import (
     held_out_errors,
     named_share,
     parameter_errors,
+    rhythms_told,
     share,
 )
 
+RHYTHM_OF = {
+    "growth": "growth alone",
+    "activity": "growth and bending",
+    "gain": "the answer to light",
+    "bias": "a push",
+}
+PERIOD_OFF = 0.1
 FORMS = {0: "same physics", 1: "other physics"}
 BARS_NATS = (4.0, 5.0, 6.0, 8.0, 10.0)
 SECONDS = (
@@ -36,6 +44,9 @@ GAINS = (
     ("gain at the end, share of the oracle's", gain_share, ">= 0.90"),
     ("the same, both from the base that was extended", partial(gain_share, from_one_base=True), ">= 0.90"),
     ("worth of what was named, about each plant's own constants", named_share, ">= 0.90"),
+    ("the same after 24 h", partial(named_share, when="24h"), ""),
+    ("the same after 6 h", partial(named_share, when="6h"), ""),
+    ("the same after 1 h", partial(named_share, when="1h"), ""),
     ("gain at the end of gradient boosting, share of the oracle's", partial(gain_share, by="boosted"), "less"),
 )
 """Where plants differ by more than an effect moves them, the first two are mostly chance."""
@@ -52,7 +63,7 @@ class Table:
 
 def all_tables(outcomes: Sequence[Outcome]) -> list[Table]:
     """Every table that these outcomes can fill."""
-    tables = [f(outcomes) for f in (_summary, _errors, _bars, _by_effect, _parameters, _confusion)]
+    tables = [f(outcomes) for f in (_summary, _errors, _bars, _by_effect, _rhythms, _parameters, _confusion)]
     return [table for table in tables if table.rows]
 
 
@@ -181,6 +192,28 @@ def _by_effect(outcomes: Sequence[Outcome]) -> Table:
             unknown = share(o.verdict == "unexplained" for o in these)
             rows.append((effect, physics, str(len(these)), *(f"{s.count}" for s in (right, claimed, unknown))))
     return Table("By hidden effect", ("hidden", "physics", "cases", "right first", "claimed", "unexplained"), rows)
+
+
+def _rhythms(outcomes: Sequence[Outcome]) -> Table:
+    told = rhythms_told(outcomes)
+    rows = []
+    for of, in_step in sorted({(one.of, one.in_step) for one in told}, key=lambda kind: (kind[0], not kind[1])):
+        these = [one for one in told if (one.of, one.in_step) == (of, in_step)]
+        off = [one.period_off for one in these if not math.isnan(one.period_off)]
+        rows.append(
+            (
+                RHYTHM_OF[of],
+                "in step" if in_step else "each its own",
+                str(len(these)),
+                f"{share(one.is_unexplained for one in these).count}",
+                f"{share(one.is_of_that for one in these).count}",
+                f"{share(one.period_off < PERIOD_OFF for one in these).count}",
+                f"{100.0 * float(np.median(off)):.1f} %" if off else "-",
+            )
+        )
+    within = f"period within {100.0 * PERIOD_OFF:.0f} %"
+    header = ("a rhythm of", "runs", "cases", "unexplained", "told as a rhythm of it", within, "period off, median")
+    return Table("Rhythms without a name", header, rows)
 
 
 def _parameters(outcomes: Sequence[Outcome]) -> Table:

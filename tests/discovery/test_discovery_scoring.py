@@ -191,6 +191,33 @@ def test_what_was_named_is_weighed_about_the_own_plants() -> None:
     assert (share.value, share.cases) == (pytest.approx(6.0 / 16.0), 2)
     assert (share.low, share.high) == (pytest.approx(0.0), pytest.approx(0.75))
     assert math.isnan(named_share([]).value)
+    assert named_share([told("single", 4.0)], "6h").cases == 0
+    early = told("single", 4.0)
+    early.truth["oracle"]["own"]["6h"] = {"base_mm": 3.0, "extended_mm": 1.0}
+    early = replace(early, named_mm={"end": 4.0, "6h": 1.5})
+    assert named_share([early], "6h").value == pytest.approx(0.75)
+    assert cells([early], "the same after 6 h")[0].startswith("0.75 (")
+
+
+def test_rhythms_are_told_by_what_they_are_of_and_by_their_period() -> None:
+    hidden = {"rhythm": {"gain_amplitude": 0.5, "period_h": 8.0, "peak_h": 1.0, "in_step": 1.0}}
+    bursts = {"growth_bursts": {"period_h": 6.0, "share": 0.3}}
+
+    def described(drive: str, period_h: float | None) -> dict[str, Any]:
+        return {"described": {"drive": drive, "period_h": period_h}}
+
+    judged = [
+        outcome("outside", hidden, "unexplained", **described("gain", 8.4)),
+        outcome("outside", hidden, "unexplained", **described("bias", 12.0)),
+        outcome("outside", hidden, "nothing_wrong", described=None),
+        outcome("outside", bursts, "unexplained", **described("growth", None)),
+        outcome("outside", {"wall": {}}, "unexplained", **described("bias", 6.0)),
+    ]
+    (table,) = [one for one in all_tables(judged) if one.title == "Rhythms without a name"]
+    assert table.rows == [
+        ("growth and bending", "each its own", "1", "1", "0", "0", "-"),
+        ("the answer to light", "in step", "3", "2", "1", "1", "5.0 %"),
+    ]
 
 
 def test_the_finders_words_become_the_worlds() -> None:

@@ -16,14 +16,14 @@ from discovery.worlds import other, rod
 from discovery.worlds.case import ALL_EFFECTS, Hidden, believed_lamps, draw_case, named_mm
 from discovery.worlds.effects import CATALOGUE, INSEPARABLE, ratio
 from discovery.worlds.kernel import CLOSED_LOOP
-from discovery.worlds.outside import OUTSIDE
+from discovery.worlds.outside import ON_REQUEST, OUTSIDE, RHYTHMIC
 from discovery.worlds.record import recorded
 from discovery.worlds.scene import ROW_S, Scene
 from discovery.worlds.schedules import draw_schedule
 from discovery.worlds.writing import write_case
 from flora_common.arrays import FloatArray
 from flora_common.errors import BadInput
-from flora_common.geometry import resample_by_height
+from flora_common.geometry import polyline_length, resample_by_height
 from flora_common.runs import RunFolder
 from flora_common.tracks import Track, read_track
 
@@ -241,7 +241,16 @@ DIRECTIONS: list[tuple[str, dict[str, float], Callable[[Track, Track], bool]]] =
     ("tip_broken", {"time_h": 15.0, "growth_left": 0.4, "zone_left": 0.5}, less_swing),
     ("light_history", {"per_side": -0.8, "memory_h": 4.0}, lambda a, b: bool(tip(b)[72, 1] > tip(a)[72, 1] + 0.1)),
     ("growth_bursts", {"period_h": 6.0, "share": 0.3}, lambda a, b: pauses(b) > 3 * pauses(a)),
+    ("rhythm", {"growth_amplitude": 0.8, "period_h": 6.0, "peak_h": 2.0, "in_step": 1.0}, lambda _, b: by_turns(b)),
 ]  # fmt: skip
+
+
+def by_turns(track: Track, period_h: float = 6.0, peak_h: float = 2.0) -> bool:
+    """Whether the stem grows three times as fast about the peaks of a rhythm as half a period later."""
+    length_cm = polyline_length(track.points_cm)
+    turn = np.cos(2.0 * np.pi * (np.arange(len(length_cm) - 1) / ROWS_PER_H - peak_h) / period_h)
+    grown = np.diff(length_cm)
+    return bool(grown[turn > 0.8].mean() > 3.0 * grown[turn < -0.8].mean())
 
 
 def later_at_the_end(before: Track, after: Track) -> bool:
@@ -291,13 +300,34 @@ def test_strengths_lie_about_the_typical_one_in_both_directions() -> None:
     assert 0.3 < (logs > 0).mean() < 0.7
 
 
-@pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])
+@pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE, *ON_REQUEST])
 def test_every_effect_can_be_drawn_and_gives_finite_points(name: str) -> None:
-    kind = "outside" if name in OUTSIDE else "single"
+    kind = "single" if name in CATALOGUE else "outside"
     case = draw_case(5, 1, kind, 1, 1, effect=name, hours=3.0, held_out=1)
     assert case.hidden[0].name == name
     assert all(np.isfinite(value) for value in case.hidden[0].parameters.values())
     assert np.isfinite(case.measured[0].track.points_cm).all()
+
+
+@pytest.mark.parametrize("of", RHYTHMIC)
+def test_rhythms_that_are_not_in_step_have_another_time_in_each_run(of: str) -> None:
+    parameters = {f"{of}_amplitude": 0.04 if of == "bias" else 0.8, "period_h": 5.0, "peak_h": 1.0, "in_step": 1.0}
+    together = [rhythmic(seed, parameters) for seed in (1, 2)]
+    apart = [rhythmic(seed, {**parameters, "in_step": 0.0}) for seed in (1, 2)]
+    assert np.array_equal(*together)
+    assert np.abs(together[0] - quiet(0).series).max() > 0.03
+    assert not np.array_equal(*apart)
+
+
+def rhythmic(seed: int, parameters: dict[str, float]) -> FloatArray:
+    scene = quiet(0)
+    ALL_EFFECTS["rhythm"].apply(scene, parameters, np.random.default_rng(seed))
+    return scene.series
+
+
+def test_cases_that_were_drawn_before_there_were_rhythms_are_what_they_were() -> None:
+    names = [draw_case(seed, 0, "outside", 1, 1, hours=1.0, held_out=1).hidden[0].name for seed in range(6)]
+    assert names == ["wall", "tip_broken", "wall", "wall", "light_history", "tip_broken"]
 
 
 def test_pairs_are_two_effects_that_can_be_told_apart() -> None:
@@ -320,6 +350,13 @@ def test_what_is_named_is_worth_what_it_mends_about_the_own_plants() -> None:
     assert named_mm(case, [Hidden("memory", {})]) == named_mm(case, ())  # of a simulator, not of a plant
     half = named_mm(case, case.hidden[:1])
     assert half not in (named_mm(case, ()), named_mm(case, case.hidden))
+
+
+def test_effects_cost_more_the_longer_a_run_goes_on() -> None:
+    own = draw_case(2, 0, "single", 1, 1, effect="draught", hours=30.0, held_out=1).oracle["own"]
+    assert set(own) == {"run", "end", "1h", "6h", "24h"}
+    costs = [own[when]["base_mm"] - own[when]["extended_mm"] for when in ("1h", "6h", "24h")]
+    assert 0.0 < costs[0] < costs[1] < costs[2]
 
 
 @pytest.mark.parametrize("ahead_h", [-1.0, 0.0, 1.0])

@@ -108,6 +108,28 @@ def test_hours_without_a_measured_stem_are_said_to_have_none(monkeypatch: pytest
     assert written["24 h"] == []
 
 
+def test_how_far_off_a_tip_is_stands_over_its_height(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "png", lambda figure: figure)
+    _, base, _ = judged()
+    _, over_time, by_height = figures.along_stem(base, None).axes
+    drawn = [line.get_ydata() for ax in (over_time, by_height) for line in ax.lines]
+    assert over_time.get_ylim() == by_height.get_ylim()
+    assert by_height.get_ylim()[0] == 0.0
+    assert by_height.get_ylim()[1] >= max(np.nanmax(values) for values in drawn)
+    heights_cm = np.concatenate([run.measured_cm[:, -1, 1] for run in base.runs])
+    thin, thick = by_height.lines[0], by_height.lines[-1]
+    at_cm, off_mm = thick.get_xdata(), thick.get_ydata()
+    known = np.isfinite(off_mm)
+    assert known.any()
+    assert at_cm[known].min() > np.nanmin(heights_cm) - 1.0
+    assert at_cm[known].max() < np.nanmax(heights_cm) + 1.0
+    run = base.runs[0]
+    place = int(np.flatnonzero(np.isfinite(thin.get_ydata()))[0])
+    here = np.abs(run.measured_cm[:, -1, 1] - at_cm[place]) < 0.5
+    off = np.hypot(*run.error_mm(base.plant)[here, -1].T)
+    assert thin.get_ydata()[place] == pytest.approx(np.sqrt(np.nanmean(off**2)), rel=0.02)
+
+
 def test_the_same_tables_give_the_same_picture() -> None:
     _, base, extended = judged()
     assert figures_of_runs.paths(base, extended) == figures_of_runs.paths(base, extended)

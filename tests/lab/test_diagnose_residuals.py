@@ -76,6 +76,9 @@ def test_a_push_to_the_right_is_told_with_its_side_and_size() -> None:
     where = [said.where[place]["right_mm"] for place in ("point_2", "point_6", "tip")]
     assert where == sorted(where)
     assert 0.0 < said.when["one_step"]["right_mm"] < 1.0
+    steps = [said.when["one_step_along_the_stem"][place]["right_mm"] for place in ("point_2", "point_6", "tip")]
+    assert steps == sorted(steps)
+    assert steps[-1] == said.when["one_step"]["right_mm"]
 
 
 def test_a_day_rhythm_of_growth_is_told_with_its_hours() -> None:

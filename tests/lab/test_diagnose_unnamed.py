@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose_runs import LAW, STEP_S, base, known, run_of, scene_of, scenes_of, stem, still, turns
+from diagnose_runs import LAW, STEP_S, base, known, levels_of, run_of, scene_of, scenes_of, stem, still, turns
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance, search
 from flora_lab.diagnose import unnamed as module
-from flora_lab.diagnose.courses import CLOSER, COURSES, TRIED, Course, Push, moments_of
+from flora_lab.diagnose.courses import CLOSER, COURSES, RHYTHMS, TRIED, Course, Push, moments_of, with_own_times
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
@@ -128,6 +128,94 @@ def test_a_string_is_told_before_any_cause() -> None:
     assert explanation.unnamed.course.holds
     left = left_of(explanation, known())
     assert verdict_of(named(explanation, left), left) == "unexplained"
+
+
+def turning(period_h: float, peak_h: float, amplitude: float) -> Callable[[Array], Array]:
+    return lambda hour: amplitude * np.cos(2.0 * np.pi * (hour - peak_h) / period_h)
+
+
+@pytest.mark.parametrize(
+    ("drive", "period_h", "amplitude", "size"),
+    [("gain", 7.3, 0.7, 0.35), ("growth", 12.4, 0.6, 0.35), ("bias", 5.2, 0.04, 0.35)],
+)
+def test_a_rhythm_of_any_period_is_told(drive: str, period_h: float, amplitude: float, size: float) -> None:
+    besides = {drive: turning(period_h, 2.0, amplitude)}
+    joint, null, scenes, answers = looked_from([scene_of(seed, hours=HOURS, besides=besides) for seed in (84, 85)])
+    told = module.unnamed(joint, null, scenes, answers, no_pushes())
+    assert told.drive == drive
+    assert told.course.period_h == pytest.approx(period_h, rel=0.05)
+    assert np.hypot(*told.size) == pytest.approx(amplitude, rel=size)
+    peak_h = float(np.arctan2(told.size[1], told.size[0])) * told.course.period_h / (2.0 * np.pi)
+    assert peak_h == pytest.approx(2.0, abs=0.12 * period_h)
+    assert f"in a rhythm of {told.course.period_h:.3g} h, most " in told.words
+
+
+def test_a_rhythm_that_is_at_another_place_in_each_run_is_told_as_one() -> None:
+    """As what a plant does by itself is: by the clock of the runs nothing would be there in the mean."""
+    peaks_h = 0.0, 4.0
+    scenes = [
+        scene_of(seed, hours=HOURS, besides={"growth": turning(8.0, peak_h, 0.7)})
+        for seed, peak_h in zip((84, 85), peaks_h, strict=True)
+    ]
+    joint, null, scenes, answers = looked_from(scenes)
+    told = module.unnamed(joint, null, scenes, answers, no_pushes())
+    assert (told.drive, told.has_own_times) == ("growth", True)
+    assert told.course.period_h == pytest.approx(8.0, rel=0.05)
+    assert told.size == pytest.approx(0.7, rel=0.35)
+    assert told.times > 0.0
+    assert told.words.startswith("growth is some ")
+    assert told.words.endswith("higher and lower by turns in a rhythm of 8 h, in each run at times of its own")
+
+
+def test_times_of_its_own_are_those_of_the_run_that_is_asked_for() -> None:
+    rhythm = next(course for _, course in RHYTHMS if course.period_h == 18.0)
+    at = moments_of(still(turns(36.0, 6.0, "right")), np.array([1.0, 5.5, 10.0, 19.0]))
+    own = with_own_times(rhythm, {at.of: 1.0, ("another run", ""): 5.0})
+    assert own.of(at)[:, 0] == pytest.approx([1.0, 0.0, -1.0, 1.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("drive", "hours_h", "within", "size"),
+    [("gain", (9.0, 15.0), 24.0, -0.8), ("gain", (15.0, 24.0), 24.0, -0.8), ("growth", (3.0, 15.0), 24.0, -0.8)],
+)
+def test_what_comes_once_in_a_short_run_is_no_rhythm(
+    drive: str, hours_h: tuple[float, float], within: float, size: float
+) -> None:
+    besides = {drive: lambda hour: size * ((hour > hours_h[0]) & (hour <= hours_h[1]))}
+    joint, null, scenes, answers = looked_from([scene_of(seed, hours=within, besides=besides) for seed in (84, 85)])
+    told = module.unnamed(joint, null, scenes, answers, no_pushes())
+    assert told.course.period_h is None
+    assert all(
+        (look.course.period_h or 0.0) <= 0.5 * within
+        for look in module.rhythms(joint, null, scenes, answers, no_pushes())
+    )
+
+
+def test_a_run_in_the_dark_tells_no_rhythm_of_the_answer_to_light() -> None:
+    dark = scene_of(85, hours=HOURS, light=levels_of(["dark"] * round(HOURS * 3600.0 / STEP_S)))
+    joint, null, scenes, answers = looked_from([scene_of(84, hours=HOURS), dark])
+    looks = module.rhythms(joint, null, scenes, answers, no_pushes())
+    assert all(np.isfinite(look.gain) for look in looks)
+    assert {look.drive for look in looks} == {"gain", "growth", "bias"}
+
+
+def test_what_hourly_means_keep_of_a_swing_is_no_rhythm() -> None:
+    """One of 1.3 h shows as one of 4.3 h there."""
+    joint, null, scenes, answers = looked_from([scene_of(seed, hours=HOURS) for seed in (84, 85)])
+
+    def quickest_h(*swings_h: float) -> float:
+        looks = module.rhythms(joint, null, scenes, answers, no_pushes(), swings_h)
+        return min(look.course.period_h or 0.0 for look in looks)
+
+    assert quickest_h() < 7.6 < quickest_h(1.3)
+    assert quickest_h(2.0, 1.3) == quickest_h(1.3)
+
+
+def test_rhythms_lie_as_close_as_three_days_tell_them_apart() -> None:
+    periods_h = sorted({course.period_h or 0.0 for _, course in RHYTHMS})
+    assert (periods_h[0], periods_h[-1]) == (pytest.approx(3.5, abs=0.1), pytest.approx(18.0))
+    assert np.diff(1.0 / np.array(periods_h)) == pytest.approx(-0.5 / 72.0)
+    assert len({f"{drive} {course.where}" for drive, course in RHYTHMS}) == len(RHYTHMS)
 
 
 def test_nothing_holds_stems_by_pushing_them_away() -> None:

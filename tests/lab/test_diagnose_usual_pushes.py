@@ -12,7 +12,7 @@ from diagnose_runs import base, known, scene_of
 
 from flora_common.arrays import Array
 from flora_lab.diagnose import chance
-from flora_lab.diagnose.courses import SIZE, TRIED
+from flora_lab.diagnose.courses import KNOWN, SIZE, TRIED
 from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.information_form import InformationForm
@@ -64,7 +64,7 @@ def test_a_push_that_plants_show_is_found_in_its_size() -> None:
 
 def test_plants_that_the_law_describes_show_next_to_nothing() -> None:
     usual = shown(0.0)
-    sizes = np.array([SIZE[drive] for drive, _ in TRIED])
+    sizes = np.array([SIZE[drive] for drive, _ in KNOWN])
     assert np.count_nonzero(usual.mean.any(axis=1)) <= 2
     assert (usual.scatter / sizes).max() < 0.3
     assert not usual.mean[DAY].any()
@@ -101,3 +101,20 @@ def test_where_plants_scatter_many_are_better_known_than_few() -> None:
     usual = no_pushes()
     usual.scatter[DAY] = 0.3
     assert usual.nats(DAY, told, 1) > usual.nats(DAY, told, 100) > 0.0
+
+
+def test_of_a_rhythm_with_own_times_each_run_has_taken_off_what_plants_show() -> None:
+    """Where plants scatter by as much as each of two runs shows, at another time, all of it; where their mean is known
+    to be another one, nothing."""
+    told = InformationForm(400.0 * np.eye(4), np.array([90.0, 0.0, 0.0, -90.0]))
+    whole = told.nats(0.4**2 * np.eye(4))
+    usual = no_pushes()
+    assert usual.nats_apart(DAY, told, 2) == 0.0
+    usual.scatter[DAY] = 0.25
+    assert usual.nats_apart(DAY, told, 2) >= whole
+    usual.scatter[DAY] = 0.02
+    assert usual.nats_apart(DAY, told, 2) < 0.5 * whole
+    usual.scatter[DAY], usual.mean[DAY] = 0.0, (-0.2, 0.0)
+    assert usual.nats_apart(DAY, told, 2) == 0.0
+    usual.mean[DAY] = (0.2, 0.0)  # of one run in step with that, and of another that is not
+    assert usual.nats_apart(DAY, told, 2) == pytest.approx(max(0.0, 90.0 * 0.2 - 2 * 0.5 * 400.0 * 0.2**2))

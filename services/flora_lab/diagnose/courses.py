@@ -5,8 +5,8 @@ A course is told by the measured run, so that it is known before anything is sim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -41,6 +41,8 @@ _SPELLS_H: Final = tuple(
 _SHADOW_H: Final = 8.0
 _SHADOW_EVERY_H: Final = 3.0
 _SIDES: Final = (("left", -1.0), ("right", 1.0))
+_IN_H, _FEWEST_TURNS, _MOST_TURNS = 144.0, 8, 41
+"""Rhythms turn so often in so many hours: three days tell frequencies twice as far apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,7 @@ class Moments:
     """A measured run at some times.
 
     Attributes:
+        of: name and SHA-256 of the run.
         time_h: since the start, shape (k,).
         x_cm, height_cm: of the tip, shape (k,).
         side: 1 where only the right lamp shines, -1 where only the left one does, 0 else, shape (k,).
@@ -55,6 +58,7 @@ class Moments:
         since_h: since the lamps changed last.
     """
 
+    of: tuple[str, str]
     time_h: Array
     x_cm: Array
     height_cm: Array
@@ -73,12 +77,17 @@ class Course:
         of: the course at some moments, shape (k, columns).
         holds: whether it is of something that stems lean against or hang from, which pushes them back to the middle and
             nowhere else: sizes are positive.
+        period_h: of a rhythm; None of anything else. Its columns are cosine and sine, or, where each run has its own
+            time, the one that is known of it.
+        peaks_h: where each run has its own time, names of runs and when it is highest in them.
     """
 
     where: str
     drives: tuple[str, ...]
     of: Callable[[Moments], Array]
     holds: bool = False
+    period_h: float | None = None
+    peaks_h: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +113,32 @@ def _column(course: Callable[[Moments], Array]) -> Callable[[Moments], Array]:
     return lambda at: course(at)[:, None]
 
 
-def _day(at: Moments) -> Array:
-    turn = 2.0 * np.pi * at.time_h / DAY_H
-    return np.stack([np.cos(turn), np.sin(turn)], axis=1)
+def rhythm_of(period_h: float, drives: tuple[str, ...]) -> Course:
+    """What is highest every so many hours."""
+
+    def turning(at: Moments) -> Array:
+        turn = 2.0 * np.pi * at.time_h / period_h
+        return np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    return Course(f"in a rhythm of {period_h:.3g} h", drives, turning, period_h=period_h)
+
+
+def with_own_times(rhythm: Course, peak_h: Mapping[tuple[str, str], float]) -> Course:
+    """A rhythm that has its own time in each run, as what a plant does by itself has: of one column.
+
+    Args:
+        rhythm: one of those of :data:`RHYTHMS`.
+        peak_h: by :attr:`Moments.of`, when it is highest in that run.
+    """
+    assert rhythm.period_h is not None
+    period_h = rhythm.period_h
+
+    def turning(at: Moments) -> Array:
+        return np.cos(2.0 * np.pi * (at.time_h - peak_h[at.of]) / period_h)
+
+    where = f"{rhythm.where}, in each run at times of its own"
+    peaks_h = tuple((name, round(own_h % period_h, 1)) for (name, _), own_h in peak_h.items())
+    return replace(rhythm, where=where, of=_column(turning), peaks_h=peaks_h)
 
 
 def _farther(side: float) -> Callable[[Moments], Array]:
@@ -186,7 +218,7 @@ COURSES: Final = (
         ("gain", "growth", "bias"),
         _column(lambda at: (at.height_cm - _MIDDLE_HEIGHT_CM) / _HEIGHT_CM),
     ),
-    Course("in a rhythm of 24 h", ("gain", "bias"), _day),
+    rhythm_of(DAY_H, ("gain", "bias")),
     Course("after hours of light from the right", ("gain", "growth"), _column(lambda at: at.history)),
     Course(
         "in the first hours after a switch of the lamps",
@@ -226,6 +258,21 @@ TRIED: Final[tuple[Pattern, ...]] = tuple((drive, course) for course in COURSES 
 """All pushes."""
 LOOKED: Final = float(np.log(len(TRIED)))
 """The price of having looked at so many, in nats."""
+RHYTHMS: Final[tuple[Pattern, ...]] = tuple(
+    (drive, course)
+    for turns in range(_FEWEST_TURNS, _MOST_TURNS + 1)
+    for course in [rhythm_of(_IN_H / turns, tuple(SIZE))]
+    for drive in course.drives
+)
+"""Rhythms other than that of the day, evenly in frequency: what is quicker is a swing of the tip, which hourly means do
+not show, and what is slower is told from nothing that comes but once."""
+KNOWN: Final[tuple[Pattern, ...]] = (*TRIED, *RHYTHMS)
+"""All of which it is known how much of it healthy plants show."""
+FINER_PER_H: Final = np.arange(-3, 4) / (4.0 * _IN_H)
+"""How far from the frequency of a rhythm that is there for certain it is looked for once more, 1/h."""
+RHYTHMS_TRIED: Final = 20 * len(RHYTHMS)
+"""What has no name is a rhythm in one case of ten, and runs keep time together in every other one: each counts as one
+of so many."""
 CLOSER: Final[tuple[Pattern, ...]] = tuple(
     (drive, course)
     for lasts_h in np.arange(_CLOSER_H, _LONGEST_SPELL_H + _CLOSER_H, _CLOSER_H)
@@ -266,4 +313,4 @@ def moments_of(scene: Scene, time_h: Array) -> Moments:
         now = keep * now + (1.0 - keep) * side[step]
         history[step] = now
     at = np.minimum((time_h / scene.step_h).astype(np.int64), scene.steps - 1)
-    return Moments(time_h, x_cm, height_cm, side[at], history[at], since_h[at])
+    return Moments((scene.run.name, scene.run.sha256), time_h, x_cm, height_cm, side[at], history[at], since_h[at])

@@ -71,10 +71,12 @@ class Described(msgspec.Struct, frozen=True):
     Attributes:
         drive: which part of the law is off: ``gain`` (the answer to light), ``growth`` or ``bias`` (of bending).
         follows: what it follows, in words.
-        size: by how much, as a share, or in 1/(cm h) for ``bias``; two numbers for a rhythm of 24 h, of its cosine and
-            its sine.
+        size: by how much, as a share, or in 1/(cm h) for ``bias``; two numbers for a rhythm, of its cosine and
+            its sine, and one for a rhythm that has its own times in each run.
         nats: evidence beyond that without it.
         description: all of it as a clause.
+        period_h: of a rhythm; None of anything else.
+        peaks_h: of a rhythm that has its own times, by run: the first time after the start at which it is highest.
     """
 
     drive: str
@@ -82,6 +84,8 @@ class Described(msgspec.Struct, frozen=True):
     size: list[float]
     nats: float
     description: str
+    period_h: float | None = None
+    peaks_h: dict[str, float] = {}
 
 
 class Gain(msgspec.Struct, frozen=True):

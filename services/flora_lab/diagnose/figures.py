@@ -23,6 +23,7 @@ _LOWEST_NATS: Final = -6.0
 """Bars of causes that are worse than this end here."""
 _LEAST_SWING_MM: Final = 0.1
 _CHANCE_SD: Final = 2.0
+_HEIGHT_BIN_CM: Final = 1.0
 GAIN_NAMES: Final = {
     **SIMULATOR_NAMES,
     "boosted": "black box on top (boosting)",
@@ -67,9 +68,9 @@ def by_phase(base: ResidualTables, extended: ResidualTables | None) -> bytes:
 
 
 def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
-    """How far off the stem is from its foot to its tip, and how that changes with time."""
+    """How far off the stem is from its foot to its tip, and how that changes with time and with its height."""
     figure = new_figure(WIDE_IN, 3.3)
-    stem, time = figure.subplots(1, 2, width_ratios=(1.0, 1.5))
+    stem, time, height = figure.subplots(1, 3, width_ratios=(1.0, 1.5, 1.0))
     points = np.arange(2, 2 + base.shown.profile_mm[base.plant].shape[1])
     low, high = np.percentile(base.reference.profile_mm[base.plant], (5.0, 95.0), axis=0)
     stem.fill_betweenx(points, low, high, color=CHANCE, linewidth=0)
@@ -84,6 +85,9 @@ def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
             width = max(1, round(3.0 / run.step_h))
             time.plot(run.time_h, statistics.smoothed(error, width), color=colour, linewidth=0.7, alpha=0.4)
         time.plot(*_pooled(tables, base), color=colour, linewidth=2.4)
+        at_cm, of_runs = _by_height(tables, base)
+        height.plot(at_cm, of_runs.T, color=colour, linewidth=0.7, alpha=0.4)
+        height.plot(at_cm, np.sqrt(statistics.mean_over_runs(of_runs**2)), color=colour, linewidth=2.4)
     stem.set_yticks(points, ["", *map(str, points[1:-1]), "tip"])
     stem.set_yticks([2], ["foot"], minor=True)
     stem.tick_params(which="both", labelsize=8)
@@ -94,10 +98,14 @@ def along_stem(base: ResidualTables, extended: ResidualTables | None) -> bytes:
     time.set_title("at the tip, over the run", fontsize=10)
     time.set_xlabel("hours since the start", fontsize=9)
     time.set_ylabel("distance, mm", fontsize=9)
-    time.set_ylim(bottom=0.0)
     time.set_xlim(0.0, max(float(run.time_h[-1]) for run in base.runs))
-    time.tick_params(labelsize=8)
-    time.grid(color=GRID, linewidth=0.6)
+    height.set_title("at the tip, by its height", fontsize=10)
+    height.set_xlabel("measured height of the tip, cm", fontsize=9)
+    height.set_ylim(bottom=0.0, top=max(ax.get_ylim()[1] for ax in (time, height)))
+    time.set_ylim(height.get_ylim())
+    for ax in (time, height):
+        ax.tick_params(labelsize=8)
+        ax.grid(color=GRID, linewidth=0.6)
     legend(figure, extended is not None, measured=False, reference=True)
     return png(figure)
 
@@ -229,6 +237,23 @@ def _pooled(tables: ResidualTables, base: ResidualTables) -> tuple[Array, Array]
     total = statistics.mean_over_runs(squares)
     run = tables.runs[0]
     return run.time_h[:shortest], np.sqrt(statistics.smoothed(total, max(1, round(3.0 / run.step_h))))
+
+
+def _by_height(tables: ResidualTables, base: ResidualTables) -> tuple[Array, Array]:
+    """Middles of bins of the measured tip's height, cm, and the root mean square of its distance, mm, by run.
+
+    Shapes (bins,) and (runs, bins); NaN where a run has less than an hour of photographs in a bin.
+    """
+    highest_cm = max(float(np.nanmax(run.measured_cm[:, -1, 1])) for run in base.runs)
+    ends_cm = np.arange(0.0, highest_cm + 2.0 * _HEIGHT_BIN_CM, _HEIGHT_BIN_CM)
+    of_runs = np.full((len(tables.runs), len(ends_cm) - 1), np.nan)
+    for own, run in zip(of_runs, tables.runs, strict=True):
+        off_mm = np.hypot(*run.error_mm(base.plant)[:, -1].T)
+        place = np.digitize(run.measured_cm[:, -1, 1], ends_cm) - 1
+        for k in range(len(own)):
+            here = off_mm[(place == k) & np.isfinite(off_mm)]
+            own[k] = statistics.rms(here) if len(here) * run.step_h >= 1.0 else np.nan
+    return 0.5 * (ends_cm[1:] + ends_cm[:-1]), of_runs
 
 
 def _reference_band(ax: Axes, at: Array, values: Array) -> None:

@@ -26,6 +26,11 @@ class InformationForm:
         """The same where all other sizes are none."""
         return InformationForm(self.information[part, part], self.pull[part])
 
+    def along(self, direction: Array) -> InformationForm:
+        """Of one size, of which the others are these multiples, shape (k,)."""
+        information, pull = direction @ self.information @ direction, direction @ self.pull
+        return InformationForm(np.reshape(information, (1, 1)), np.reshape(pull, 1))
+
     def nats(self, covariance: Array, mean: Array | None = None) -> float:
         """For sizes of which that was known before, against none.
 

@@ -267,25 +267,27 @@ class Joint:
         first = [[np.log(change.scale), np.radians(change.turn_deg)] for change in changes]
         return np.concatenate([told, first], axis=1)
 
-    def beside(self, found: Found, pushed: Sequence[Array]) -> InformationForm:
+    def beside(self, found: Found, pushed: Sequence[Array], places: Sequence[Array] | None = None) -> InformationForm:
         """What runs tell of something beside an explanation that pushes features in proportion to its sizes.
 
         All is linear about the explanation, whose plants and parameters give way.
 
         Args:
             found: fitted.
-            pushed: by a unit of each size, one array of shape (m, sizes) per run.
+            pushed: by a unit of each size, one array of shape (m, its sizes) per run.
+            places: of each run's sizes among those of all, shape (its sizes,); all runs have all of them where None.
         """
         normal, downhill = self._normal(found)
         count, q = len(self.runs), len(found.coordinates)
-        sizes = pushed[0].shape[1]
+        places = [np.arange(along.shape[1]) for along in pushed] if places is None else places
+        sizes = 1 + max(int(at.max()) for at in places)
         information, pull = np.zeros((sizes, sizes)), np.zeros(sizes)
         across = np.zeros((len(normal), sizes))
-        for run, (own, along) in enumerate(zip(self.runs, pushed, strict=True)):
-            white = own.white(np.concatenate([along, np.zeros((len(own.measured) - len(along), sizes))]))
-            information += white.T @ white
-            pull += white.T @ found.residuals[run]
-            across[self._places(run, count, q)] += found.jacobians[run].T @ white
+        for run, (own, along, at) in enumerate(zip(self.runs, pushed, places, strict=True)):
+            white = own.white(np.concatenate([along, np.zeros((len(own.measured) - len(along), len(at)))]))
+            information[np.ix_(at, at)] += white.T @ white
+            pull[at] += white.T @ found.residuals[run]
+            across[np.ix_(self._places(run, count, q), at)] += found.jacobians[run].T @ white
         gives_way = np.linalg.solve(normal, np.column_stack([across, downhill]))
         return InformationForm(information - across.T @ gives_way[:, :-1], pull - across.T @ gives_way[:, -1])
 

@@ -220,8 +220,8 @@ _PICTURES: Final[tuple[tuple[str, Literal["png", "gif"], str, str], ...]] = (
     (
         "stem",
         "png",
-        "how far apart measured and simulated stems are, along the stem and over time",
-        "Where it is wrong: from the foot of the stem to its tip, and over the run.",
+        "how far apart measured and simulated stems are, along the stem, over time and by its height",
+        "Where it is wrong: from the foot of the stem to its tip, over the run, and as it gets higher.",
     ),
     (
         "film",

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.stats
 
 from flora_common.arrays import Array
+from flora_common.shapes import STEM_POINTS
 from flora_lab.diagnose import residual_statistics as statistics
 from flora_lab.diagnose.diagnosis import Residuals
 from flora_lab.diagnose.joint import Base, Found
@@ -226,15 +227,19 @@ def _misfit_p(scenes: Sequence[Scene], null: Found, reference: ReferenceResidual
 def _where(runs: Sequence[Replayed]) -> dict[str, Any]:
     """Along the stem: sideways (positive: farther to the right than simulated), upwards, and altogether."""
     found: dict[str, Any] = {}
-    for point in range(1, runs[0].measured_cm.shape[1]):
+    for point in range(1, STEM_POINTS):
         error, own = (np.concatenate([run.error_mm(plant)[:, point] for run in runs]) for plant in PLANTS)
-        found["tip" if point == runs[0].measured_cm.shape[1] - 1 else f"point_{point + 1}"] = _rounded(
+        found[_place(point)] = _rounded(
             right_mm=mean(error[:, 0]),
             up_mm=mean(error[:, 1]),
             rms_mm=rms(np.hypot(*error.T)),
             rms_own_constants_mm=rms(np.hypot(*own.T)),
         )
     return found
+
+
+def _place(point: int) -> str:
+    return "tip" if point == STEM_POINTS - 1 else f"point_{point + 1}"
 
 
 def _when(runs: Sequence[Replayed], shown: Shown, looks: Looks) -> dict[str, Any]:
@@ -267,6 +272,7 @@ def _when(runs: Sequence[Replayed], shown: Shown, looks: Looks) -> dict[str, Any
         "height": heights,
         "age": {f"day {day + 1}": part(time_h // 24.0 == day) for day in range(statistics.DAYS)},
         "one_step": _one_step(runs),
+        "one_step_along_the_stem": _one_step_along(runs),
         "runs": {run.name: _rounded(rms_mm=rms(_tip_mm(run, "typical"))) for run in runs},
         "p_value": looks.p_value,
         "p_value_by_exchange": looks.compared.p_value,
@@ -287,6 +293,17 @@ def _one_step(runs: Sequence[Replayed]) -> dict[str, Any]:
     for s, side in enumerate(SIDES):
         shines = np.concatenate([(run.is_left, run.is_right)[s][run.step_rows] for run in runs])
         found[f"right_mm_{side}_lamp"] = _rounded(x=mean(error[shines, 0]))["x"]
+    return found
+
+
+def _one_step_along(runs: Sequence[Replayed]) -> dict[str, Any]:
+    """The same of each point."""
+    found: dict[str, Any] = {}
+    for point in range(1, STEM_POINTS):
+        error = MM * np.concatenate([run.step_error_cm[:, point] for run in runs])
+        found[_place(point)] = _rounded(
+            right_mm=mean(error[:, 0]), up_mm=mean(error[:, 1]), rms_mm=rms(np.hypot(*error.T))
+        )
     return found
 
 

@@ -13,7 +13,7 @@ from flora_common.counted import counted
 from flora_common.errors import BadInput
 from flora_common.runs import LampsSection
 from flora_lab.diagnose import chance, residuals, usual_errors
-from flora_lab.diagnose.courses import TRIED
+from flora_lab.diagnose.courses import KNOWN
 from flora_lab.diagnose.inputs import FEWEST_REFERENCES
 from flora_lab.diagnose.joint import TRAITS, Base
 from flora_lab.diagnose.knowledge import LOOKED_FOR, Knowledge
@@ -45,16 +45,16 @@ _SHAPES: Final[Mapping[str, tuple[int | None, ...]]] = {
     "error_doubt": (sum(usual_errors.columns()), sum(usual_errors.columns())),
     "left": (None, 2),
     "swing_evidence": (None,),
-    "push_mean": (len(TRIED), COLUMNS),
-    "push_doubt": (len(TRIED), COLUMNS, COLUMNS),
-    "push_scatter": (len(TRIED),),
+    "push_mean": (len(KNOWN), COLUMNS),
+    "push_doubt": (len(KNOWN), COLUMNS, COLUMNS),
+    "push_scatter": (len(KNOWN),),
     "cross_fit": (None, len(LOOKED_FOR)),
 }
 _NAMES: Final[Mapping[str, list[str] | list[int]]] = {
     "causes": list(usual_errors.causes()),
     "kinds": list(usual_errors.columns()),
     "tried": list(LOOKED_FOR),
-    "pushes": [f"{drive} {course.where}" for drive, course in TRIED],
+    "pushes": [f"{drive} {course.where}" for drive, course in KNOWN],
 }
 """What rows and columns of these stand for."""
 

@@ -119,10 +119,10 @@ class Trials:
                 faster = max((t.gain + self._faster(before, t) for t in tried[:3] if t.found is not None), default=0.0)
                 own = replace(own, gain=own.gain + max(0.0, slower))
                 tried.insert(0 if own.gain > faster else 1, own)
-        found = Stage(before, tuple(tried), self._unnamed(joint, before))
+        found = Stage(before, tuple(tried), self._unnamed(joint, before, swing))
         if beside is not None and found.tried[0].swing is not None and self._has_no_name(found):
             # Hours' means keep some of a slow swing, which has no name as long as it is not known for what it is.
-            found = replace(found, unnamed=self._unnamed(*beside))
+            found = replace(found, unnamed=self._unnamed(*beside, found.tried[0].swing))
         if swing is not None or before.hypothesis.causes:
             return found
         if self._has_no_name(found):
@@ -186,8 +186,9 @@ class Trials:
     def _has_no_name(self, stage: Stage) -> bool:
         return stage.has_no_name(self.claims.nameless, self.claims.better)
 
-    def _unnamed(self, joint: Joint, found: Found) -> Unnamed:
-        return unnamed(joint, found, self.scenes, self._answers, self.known.pushes)
+    def _unnamed(self, joint: Joint, found: Found, swing: Swing | None) -> Unnamed:
+        swings = [one.period_h for one in (swing, self.known.swing) if one is not None]
+        return unnamed(joint, found, self.scenes, self._answers, self.known.pushes, swings)
 
     def _leaves_much(self, stage: Stage) -> bool:
         """Whether no cause but a swing, which explains no hour's mean, makes the runs anything like healthy ones."""

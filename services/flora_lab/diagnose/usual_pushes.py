@@ -16,20 +16,22 @@ from typing import Final
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import LOOKED, SIZE, TRIED, pushed_along
+from flora_lab.diagnose.courses import KNOWN, LOOKED, SIZE, pushed_along
 from flora_lab.diagnose.information_form import InformationForm, together
 from flora_lab.diagnose.joint import Base, Found, Joint, Ready
 from flora_lab.diagnose.scene import Answers
 
 COLUMNS: Final = 2
 """Of a course, at most."""
+_AT_ONCE: Final = 16
+"""Pushes of which what runs tell apart is told together: it grows with the square of these."""
 _SCATTER: Final = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Shares of the size that is looked for, by which plants may differ, that are tried."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsualPushes:
-    """By how much healthy plants are pushed, in the order of :data:`flora_lab.diagnose.courses.TRIED`.
+    """By how much healthy plants are pushed, in the order of :data:`flora_lab.diagnose.courses.KNOWN`.
 
     Attributes:
         mean: shape (pushes, 2); a course of one column has the first. Nothing where nothing is plain.
@@ -53,10 +55,16 @@ class UsualPushes:
         covariance = self.doubt[which, :columns, :columns] + self.scatter[which] ** 2 / runs * np.eye(columns)
         return max(0.0, told.nats(covariance, self.mean[which, :columns]))
 
+    def nats_apart(self, which: int, told: InformationForm, runs: int) -> float:
+        """The same where each run has sizes of its own, of :data:`COLUMNS` columns, one run after the other."""
+        scatter = self.scatter[which] ** 2 * np.eye(len(told.pull))
+        covariance = np.kron(np.ones((runs, runs)), self.doubt[which]) + scatter
+        return max(0.0, told.nats(covariance, np.tile(self.mean[which], runs)))
+
 
 def no_pushes() -> UsualPushes:
     """Of plants that the law describes."""
-    count = len(TRIED)
+    count = len(KNOWN)
     return UsualPushes(np.zeros((count, COLUMNS)), np.zeros((count, COLUMNS, COLUMNS)), np.zeros(count))
 
 
@@ -70,11 +78,11 @@ def usual_pushes(runs: Sequence[Ready], fits: Sequence[Found], answers: Sequence
         base: that they were fitted with, for single runs.
     """
     usual = no_pushes()
-    told: list[list[InformationForm]] = [[] for _ in TRIED]
+    told: list[list[InformationForm]] = [[] for _ in KNOWN]
     for run, fit, own in zip(runs, fits, answers, strict=True):
-        for which, one in enumerate(told_of_all(Joint([run], base), fit, [pushed_along(run.scene, own)])):
+        for which, one in enumerate(told_of_all(Joint([run], base), fit, [pushed_along(run.scene, own, KNOWN)])):
             told[which].append(one)
-    for which, (drive, _) in enumerate(TRIED):
+    for which, (drive, _) in enumerate(KNOWN):
         mean, doubt, scatter = _plain(told[which], SIZE[drive])
         columns = len(mean)
         usual.mean[which, :columns], usual.scatter[which] = mean, scatter
@@ -92,6 +100,24 @@ def told_of_all(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -
     """
     ends = np.cumsum([0, *(along.shape[1] for along in pushed[0])])
     told = joint.beside(found, [np.concatenate(own, axis=1) for own in pushed])
+    return [told.of(slice(begin, end)) for begin, end in itertools.pairwise(ends)]
+
+
+def told_apart(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -> list[InformationForm]:
+    """The same where each run has sizes of its own: of each push those of one run after those of another."""
+    out: list[InformationForm] = []
+    for first in range(0, len(pushed[0]), _AT_ONCE):
+        out += _some_apart(joint, found, [own[first : first + _AT_ONCE] for own in pushed])
+    return out
+
+
+def _some_apart(joint: Joint, found: Found, pushed: Sequence[Sequence[Array]]) -> list[InformationForm]:
+    runs = len(pushed)
+    widths = [along.shape[1] for along in pushed[0]]
+    ends = np.cumsum([0, *(runs * width for width in widths)])
+    begins = list(zip(ends[:-1], widths, strict=True))
+    places = [np.concatenate([at + run * width + np.arange(width) for at, width in begins]) for run in range(runs)]
+    told = joint.beside(found, [np.concatenate(own, axis=1) for own in pushed], places)
     return [told.of(slice(begin, end)) for begin, end in itertools.pairwise(ends)]
 
 

@@ -310,7 +310,9 @@ def _described(left: Left) -> Described | None:
     if found is None:
         return None
     size = [round(float(value), 4) for value in found.size]
-    return Described(found.drive, found.course.where, size, round(found.gain, 1), found.words)
+    course = found.course
+    period_h = None if course.period_h is None else round(course.period_h, 2)
+    return Described(found.drive, course.where, size, round(found.gain, 1), found.words, period_h, dict(course.peaks_h))
 
 
 def _base_words(known: Knowledge) -> dict[str, Any]:

@@ -19,18 +19,20 @@ from flora_common.tracks import Track
 from . import other, rod
 from .effects import CATALOGUE, DAMAGE, INSEPARABLE, Effect, Parameters
 from .individuals import Spread, add_drifts, draw_plant, draw_spread
-from .outside import OUTSIDE
+from .outside import ON_REQUEST, OUTSIDE
 from .record import recorded
 from .scene import HOUR_S, LIGHT_CODES, ROW_S, Laws, Plant, Scene
 from .schedules import OPEN_LOOPS, draw_schedule
 
 Kind = Literal["single", "pair", "none", "outside"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-ALL_EFFECTS: dict[str, Effect] = {**CATALOGUE, **DAMAGE, **OUTSIDE}
+ALL_EFFECTS: dict[str, Effect] = {**CATALOGUE, **DAMAGE, **OUTSIDE, **ON_REQUEST}
 HELD_OUT = 3
 HOURS = 72.0
 REFERENCE_TARGETS_CM = 4.0
 LAST_ROWS = 12
+HORIZONS_H = 1, 6, 24
+AROUND_H = 0.5
 MOST_SEED = 2**63
 
 Oracle = dict[str, dict[str, dict[str, float]]]
@@ -65,8 +67,9 @@ class Case:
         measured: runs with it.
         held_out: further runs with it, that no finder learns from; the gain is judged on them.
         oracle: free runs of the ``typical`` plant and of each held-out run's ``own``, without drifts, over the whole
-            ``run``, of all points, and at its ``end`` (the last hour), of the tip: root mean square distances,
-            ``base_mm`` without and ``extended_mm`` with the true effect.
+            ``run``, of all points, and, of the tip, at its ``end`` (the last hour) and :data:`HORIZONS_H` after its
+            start (half an hour about it): root mean square distances, ``base_mm`` without and ``extended_mm`` with the
+            true effect.
         hours: length of each run.
     """
 
@@ -163,8 +166,7 @@ def named_mm(case: Case, named: Sequence[Hidden]) -> dict[str, float]:
         named: effects as somebody told them; those outside :data:`.effects.CATALOGUE` do nothing.
 
     Returns:
-        Root mean square distances in mm over the whole ``run`` and at its ``end``, to be held against ``base_mm`` and
-        ``extended_mm`` of ``oracle["own"]``.
+        Root mean square distances in mm, to be held against ``base_mm`` and ``extended_mm`` of ``oracle["own"]``.
     """
     species, _ = _species(case.seed, case.form, case.hours)
     known = tuple(one for one in named if one.name in CATALOGUE)
@@ -202,7 +204,7 @@ def _check(
         raise BadInput(f"hours is {hours:g}; it must lie in [1, {HOURS:g}]")
     if effect is None:
         return
-    known = OUTSIDE if kind == "outside" else {**CATALOGUE, **DAMAGE} if kind == "single" else {}
+    known = {**OUTSIDE, **ON_REQUEST} if kind == "outside" else {**CATALOGUE, **DAMAGE} if kind == "single" else {}
     if effect not in known:
         raise BadInput(f"no effect `{effect}` for a case of kind `{kind}`{did_you_mean(effect, list(known))}")
 
@@ -286,7 +288,7 @@ def _apart_mm(
     species: _Species, group: int, runs: tuple[Run, ...], effects: tuple[Hidden, ...], plant: Plant | None
 ) -> dict[str, float]:
     """How far free runs of a plant, or of each run's own, with these effects are from a group's runs."""
-    squares: dict[str, list[FloatArray]] = {"run": [], "end": []}
+    squares: dict[str, list[FloatArray]] = {name: [] for name in ("run", "end", *(f"{hour}h" for hour in HORIZONS_H))}
     for number, run in enumerate(runs):
         rows = np.rint(run.track.time_s / ROW_S).astype(np.int64)
         scene = _scene(species, group, number, run.schedule, effects, plant=plant, drifting=False)
@@ -296,7 +298,11 @@ def _apart_mm(
         off = ((recorded(scene).points_cm[rows] - run.track.points_cm)[:, 1:] ** 2).sum(axis=2) * 100.0
         squares["run"].append(off.ravel())
         squares["end"].append(off[-LAST_ROWS:, -1])
-    return {when: float(np.sqrt(np.concatenate(parts).mean())) for when, parts in squares.items()}
+        for hour in HORIZONS_H:
+            away_h = np.abs((run.track.time_s - run.track.time_s[0]) / HOUR_S - hour)
+            squares[f"{hour}h"].append(off[away_h <= AROUND_H, -1])
+    known = {when: np.concatenate(parts) for when, parts in squares.items()}
+    return {when: float(np.sqrt(own.mean())) for when, own in known.items() if len(own)}
 
 
 def believed_lamps(track: Track, rows: int, ahead_h: float) -> np.ndarray:

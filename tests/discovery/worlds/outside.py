@@ -113,3 +113,38 @@ OUTSIDE: dict[str, Effect] = {
     "light_history": Effect(_draw_light_history, _light_history),
     "growth_bursts": Effect(_draw_bursts, _growth_bursts),
 }
+
+
+def _draw_rhythm(rng: np.random.Generator) -> Parameters:
+    of = RHYTHMIC[int(rng.integers(len(RHYTHMIC)))]
+    period_h = float(np.exp(rng.uniform(math.log(3.5), math.log(16.0))))
+    return {
+        f"{of}_amplitude": float(rng.uniform(0.02, 0.05) if of == "bias" else rng.uniform(0.4, 0.9)),
+        "period_h": period_h,
+        "peak_h": float(rng.uniform(0.0, period_h)),
+        "in_step": float(rng.random() < 0.5),
+    }
+
+
+def _rhythm(scene: Scene, p: Mapping[str, float], rng: np.random.Generator) -> None:
+    """Growth, alone or with all bending (``activity``), the response to light, or a push (1/(cm h)) has a rhythm.
+
+    Highest ``peak_h`` after the start in all runs where these are ``in_step``; else each run has its own time.
+    """
+    peak_h = p["peak_h"] if p["in_step"] else rng.uniform(0.0, p["period_h"])
+    turn = np.cos(2.0 * math.pi * (scene.hour_h - peak_h) / p["period_h"])
+    if "bias_amplitude" in p:
+        scene.series[:, kernel.DRIVE_X] += p["bias_amplitude"] * turn
+    elif "gain_amplitude" in p:
+        scene.scale_series(kernel.GAIN, 1.0 + p["gain_amplitude"] * turn)
+    elif "growth_amplitude" in p:
+        scene.scale_series(kernel.GROWTH, 1.0 + p["growth_amplitude"] * turn)
+    else:
+        for column in (kernel.GROWTH, kernel.BENDING):
+            scene.scale_series(column, 1.0 + p["activity_amplitude"] * turn)
+
+
+RHYTHMIC = "growth", "activity", "gain", "bias"
+"""What a rhythm may be of; its amplitude is a parameter of that name."""
+ON_REQUEST: dict[str, Effect] = {"rhythm": Effect(_draw_rhythm, _rhythm)}
+"""Drawn only where they are named: cases that were drawn before there were these stay what they were."""
