@@ -18,9 +18,9 @@ from flora_lab.diagnose.explain import MOST_CAUSES, Explainer
 from flora_lab.diagnose.explanation import FIRST, SECOND, THIRD, Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.rivals import last_choice, rivals
 from flora_lab.diagnose.trials import Trials
-from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.diagnose.verdict import left_of, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Effect

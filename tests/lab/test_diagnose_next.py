@@ -26,6 +26,7 @@ from flora_lab.diagnose.cross_fit import learn_from
 from flora_lab.diagnose.explanation import Accepted, Explanation, Stage, Tried
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.joint import Base, Found, Joint, ready
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.next_experiment import (
     CLOSE_NATS,
     MOST,
@@ -47,7 +48,6 @@ from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.schedules import CHOICE, USUAL, Schedule, write_experiment
 from flora_lab.diagnose.schedules import turns as turns_of
 from flora_lab.diagnose.search import best_start
-from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.catalogue import BY_NAME
 from flora_lab.effects.effect import Change
 from flora_lab.run_tracks import load_run

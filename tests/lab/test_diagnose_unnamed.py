@@ -18,9 +18,11 @@ from flora_lab.diagnose.explain import Explainer
 from flora_lab.diagnose.explanation import Explanation
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found, Joint, ready
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.scene import Answers, Lanes, Scene
 from flora_lab.diagnose.summary import summary
-from flora_lab.diagnose.unnamed import Unnamed, fitted, looked_at
+from flora_lab.diagnose.unnamed import fitted, looked_at
+from flora_lab.diagnose.unnamed_rhythms import rhythms
 from flora_lab.diagnose.usual_pushes import no_pushes
 from flora_lab.diagnose.verdict import left_of, left_words, named, verdict_of
 from flora_lab.effects.catalogue import BY_NAME
@@ -186,15 +188,14 @@ def test_what_comes_once_in_a_short_run_is_no_rhythm(
     told = module.unnamed(joint, null, scenes, answers, no_pushes())
     assert told.course.period_h is None
     assert all(
-        (look.course.period_h or 0.0) <= 0.5 * within
-        for look in module.rhythms(joint, null, scenes, answers, no_pushes())
+        (look.course.period_h or 0.0) <= 0.5 * within for look in rhythms(joint, null, scenes, answers, no_pushes())
     )
 
 
 def test_a_run_in_the_dark_tells_no_rhythm_of_the_answer_to_light() -> None:
     dark = scene_of(85, hours=HOURS, light=levels_of(["dark"] * round(HOURS * 3600.0 / STEP_S)))
     joint, null, scenes, answers = looked_from([scene_of(84, hours=HOURS), dark])
-    looks = module.rhythms(joint, null, scenes, answers, no_pushes())
+    looks = rhythms(joint, null, scenes, answers, no_pushes())
     assert all(np.isfinite(look.gain) for look in looks)
     assert {look.drive for look in looks} == {"gain", "growth", "bias"}
 
@@ -204,7 +205,7 @@ def test_what_hourly_means_keep_of_a_swing_is_no_rhythm() -> None:
     joint, null, scenes, answers = looked_from([scene_of(seed, hours=HOURS) for seed in (84, 85)])
 
     def quickest_h(*swings_h: float) -> float:
-        looks = module.rhythms(joint, null, scenes, answers, no_pushes(), swings_h)
+        looks = rhythms(joint, null, scenes, answers, no_pushes(), swings_h)
         return min(look.course.period_h or 0.0 for look in looks)
 
     assert quickest_h() < 7.6 < quickest_h(1.3)

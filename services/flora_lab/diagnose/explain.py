@@ -15,10 +15,10 @@ from flora_lab.diagnose.gusts import CALM, Gusts
 from flora_lab.diagnose.hypothesis import Hypothesis
 from flora_lab.diagnose.joint import Found, Joint
 from flora_lab.diagnose.knowledge import Knowledge
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.rhythm import Swing
 from flora_lab.diagnose.scene import Scene
 from flora_lab.diagnose.trials import Trials, started, tried_on
-from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.effect import Effect
 
 _AS_GOOD: Final = 1.0

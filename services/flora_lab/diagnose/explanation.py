@@ -8,8 +8,8 @@ from typing import Final
 from flora_common.arrays import Array
 from flora_lab.diagnose.gusts import CALM, Gusts
 from flora_lab.diagnose.joint import Found, Joint
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.rhythm import Swing
-from flora_lab.diagnose.unnamed import Unnamed
 from flora_lab.effects.effect import Effect
 
 FIRST: Final = 3.0

@@ -9,9 +9,9 @@ from flora_common.counted import counted
 from flora_lab.diagnose.corrected_tracks import FOLDER
 from flora_lab.diagnose.diagnosis import NamedCause
 from flora_lab.diagnose.explanation import Explanation
+from flora_lab.diagnose.nameless import times, times_as_probable
 from flora_lab.diagnose.residual_words import one_in, p_text, percent_sure
 from flora_lab.diagnose.residuals import SIGNIFICANT
-from flora_lab.diagnose.unnamed import times, times_as_probable
 from flora_lab.diagnose.verdict import Left
 from flora_lab.effects.catalogue import BY_NAME
 

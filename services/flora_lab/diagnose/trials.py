@@ -16,9 +16,10 @@ from flora_lab.diagnose.gusts import CALM, Gusts, best_gusts, covariance, power
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last, ready
 from flora_lab.diagnose.knowledge import Knowledge, spectra_of
+from flora_lab.diagnose.nameless import Unnamed
 from flora_lab.diagnose.rhythm import Spectrum, Swing
 from flora_lab.diagnose.scene import Answers, Scene
-from flora_lab.diagnose.unnamed import Unnamed, unnamed
+from flora_lab.diagnose.unnamed import unnamed
 from flora_lab.effects import draught
 from flora_lab.effects.catalogue import BY_NAME, CATALOGUE
 from flora_lab.effects.effect import Effect

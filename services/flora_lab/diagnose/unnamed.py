@@ -10,7 +10,7 @@ and Kutz (2016) take for unknown dynamics, with one term.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,101 +18,30 @@ import numpy as np
 from flora_common.arrays import Array
 from flora_lab.diagnose.courses import (
     CLOSER,
-    FINER_PER_H,
-    RHYTHMS,
-    RHYTHMS_TRIED,
     SIZE,
     TRIED,
-    Course,
     Pattern,
     Push,
     pushed_along,
-    rhythm_of,
-    with_own_times,
 )
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
-from flora_lab.diagnose.scene import WINDOW_H, Answers, Scene
-from flora_lab.diagnose.usual_pushes import UsualPushes, told_apart, told_of_all
+from flora_lab.diagnose.nameless import Unnamed
+from flora_lab.diagnose.scene import Answers, Scene
+from flora_lab.diagnose.unnamed_rhythms import finer, rhythms
+from flora_lab.diagnose.usual_pushes import UsualPushes, told_of_all
 from flora_lab.effects.effect import Change, Effect, Parameter, Values
-from flora_lab.simulator.drives import DAY_H
 
 _FITTED: Final = 3
 """So many of those that come to most where all is taken for linear are fitted in full."""
 _RHYTHMS_FITTED: Final = 2
 """The same of rhythms."""
-_OF_A_RUN: Final = 0.5
-"""A rhythm has this share of the longest run for its period, at most."""
-_ABOUT_PER_H: Final = 0.1
-"""So far from where a swing shows in hourly means, 1/h, its phase and size may drift."""
 _WORTH_A_FIT: Final = 2.0
 """Nats that they must come to there."""
 _STEPS: Final = 10
 _CERTAIN: Final = 30.0
 """Nats from which on it is there for certain, and is looked at once more for when it began and ended."""
-
-
-@dataclass(frozen=True, slots=True)
-class Unnamed:
-    """A drive that follows a course.
-
-    Attributes:
-        drive: of the law, see :data:`flora_lab.diagnose.scene.USUAL`.
-        course: what it follows.
-        gain: evidence beyond that without it, nats; that so many were tried, and what is usual, is taken off.
-        size: of each column of the course, shape (columns,).
-        usual: nats that were taken off since healthy plants show as much.
-        tried: of how many it counts as one.
-        times: nats that were taken off since each run has times of its own, which nobody knew beforehand.
-    """
-
-    drive: str
-    course: Course
-    gain: float
-    size: Array
-    usual: float = 0.0
-    tried: int = len(TRIED)
-    times: float = 0.0
-
-    @property
-    def evidence(self) -> str:
-        """How much speaks for it, in a clause."""
-        return f"with it the runs are {times_as_probable(self.gain)}"
-
-    @property
-    def words(self) -> str:
-        """What it means, in a clause."""
-        size, where, period_h = float(np.linalg.norm(self.size)), self.course.where, self.course.period_h
-        if period_h is not None and len(self.size) == 2:
-            peak_h = float(np.arctan2(self.size[1], self.size[0]) % (2.0 * np.pi)) * period_h / (2.0 * np.pi)
-            where += f", most {peak_h:.{0 if period_h == DAY_H else 1}f} h after the start"
-        elif period_h is None:
-            size = float(self.size[0])
-        if self.course.holds:
-            return f"something holds stems back {where}"
-        if self.drive == "bias":
-            to_right = "to the right" if size > 0.0 else "to the left"
-            return f"something bends stems {'to and fro' if self.has_own_times else to_right} {where}"
-        subject = "the answer to light is" if self.drive == "gain" else "growth is"
-        much = f"some {100.0 * abs(size):.0f} %" if abs(size) < 1.0 else "much"
-        more = "higher and lower by turns" if self.has_own_times else "higher" if size > 0.0 else "lower"
-        return f"{subject} {much} {more} {where}"
-
-    @property
-    def has_own_times(self) -> bool:
-        """Whether it is a rhythm that is at another place in each run."""
-        return self.course.period_h is not None and len(self.size) == 1
-
-
-def times_as_probable(nats: float) -> str:
-    """Evidence as people read it."""
-    return f"{times(nats)} as probable as without"
-
-
-def times(nats: float) -> str:
-    """How many times that is."""
-    return f"e^{nats:.0f} times" if nats > 20.0 else f"{np.exp(nats):,.0f} times".replace(",", " ")
 
 
 def unnamed(
@@ -130,6 +59,7 @@ def unnamed(
         found: the explanation so far, fitted.
         scenes, answers: of each run, about the plants of that fit.
         usual: what healthy plants show.
+        swings_h: periods with which tips swing: what hourly means keep of that is no rhythm.
     """
     best = _best_fit(joint, found, looked_at(joint, found, scenes, answers, usual))
     turning = rhythms(joint, found, scenes, answers, usual, swings_h)
@@ -139,7 +69,7 @@ def unnamed(
         return best
     closer = [_best_fit(joint, found, looked_closer(joint, found, scenes, answers))]
     if best.course.period_h is not None:
-        closer.append(_best_fit(joint, found, _finer(joint, found, scenes, answers, best)))
+        closer.append(_best_fit(joint, found, finer(joint, found, scenes, answers, best)))
     return max([best, *closer], key=_gain)
 
 
@@ -170,105 +100,6 @@ def looked_closer(joint: Joint, found: Found, scenes: Sequence[Scene], answers: 
     return _looks(joint, found, pushed, CLOSER, lambda *_: 0.0, len(TRIED) + len(CLOSER))
 
 
-def rhythms(
-    joint: Joint,
-    found: Found,
-    scenes: Sequence[Scene],
-    answers: Sequence[Answers],
-    usual: UsualPushes,
-    swings_h: Sequence[float] = (),
-) -> list[Unnamed]:
-    """The best rhythm of each drive, in which all runs keep time together or each its own, best first.
-
-    All is linear, as in :func:`looked_at`. Neighbouring periods tell nearly the same, so that one of them is enough.
-    What comes but once or twice in a run is no rhythm.
-    """
-    longest_h = _OF_A_RUN * max(float(scene.time_h[-1]) for scene in scenes)
-    tried = [
-        which
-        for which, (_, course) in enumerate(RHYTHMS)
-        if course.period_h is not None
-        and course.period_h <= longest_h
-        and not any(_is_of(swing_h, course.period_h) for swing_h in swings_h)
-    ]
-
-    def as_usual(which: int, told: InformationForm, *, has_own_times: bool) -> float:
-        ask = usual.nats_apart if has_own_times else usual.nats
-        return ask(len(TRIED) + tried[which], told, len(scenes))
-
-    return _rhythms(joint, found, scenes, answers, [RHYTHMS[which] for which in tried], as_usual)
-
-
-def _is_of(swing_h: float, period_h: float) -> bool:
-    """Whether a rhythm is what means over an hour show of a swing: a slower one."""
-    shown_per_h = abs(1.0 / WINDOW_H - 1.0 / swing_h)
-    return 1.0 / period_h > shown_per_h - _ABOUT_PER_H
-
-
-def _finer(
-    joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers], look: Unnamed
-) -> list[Unnamed]:
-    """The best of the periods about that of a rhythm: three days tell it more exactly than those are apart."""
-    assert look.course.period_h is not None
-    periods_h = 1.0 / (1.0 / look.course.period_h + FINER_PER_H)
-    tried = [(look.drive, rhythm_of(float(period_h), (look.drive,))) for period_h in periods_h]
-    looks = _rhythms(joint, found, scenes, answers, tried, lambda *_, **__: look.usual)
-    return [one for one in looks if one.has_own_times == look.has_own_times]
-
-
-def _rhythms(
-    joint: Joint,
-    found: Found,
-    scenes: Sequence[Scene],
-    answers: Sequence[Answers],
-    tried: Sequence[Pattern],
-    as_usual: Callable[..., float],
-) -> list[Unnamed]:
-    if not tried:
-        return []
-    pushed = [pushed_along(*run, tried) for run in zip(scenes, answers, strict=True)]
-    runs = [(scene.run.name, scene.run.sha256) for scene in scenes]
-    best: dict[tuple[str, bool], Unnamed] = {}
-    both = zip(tried, told_of_all(joint, found, pushed), told_apart(joint, found, pushed), strict=True)
-    for which, ((drive, course), together, apart) in enumerate(both):
-        looks = [_together(drive, course, together, as_usual(which, together, has_own_times=False))]
-        if len(scenes) > 1:
-            looks.append(_apart(drive, course, runs, apart, as_usual(which, apart, has_own_times=True)))
-        for look in looks:
-            kind = drive, look.has_own_times
-            best[kind] = max(best.get(kind, look), look, key=_gain)
-    return sorted(best.values(), key=lambda one: -one.gain)
-
-
-def _together(drive: str, course: Course, told: InformationForm, usual: float) -> Unnamed:
-    sd = SIZE[drive]
-    nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(RHYTHMS_TRIED)) - usual
-    return Unnamed(drive, course, nats, told.size(sd), usual, RHYTHMS_TRIED)
-
-
-def _apart(drive: str, rhythm: Course, runs: Sequence[tuple[str, str]], told: InformationForm, usual: float) -> Unnamed:
-    """A rhythm as large in each run as it seems to be there, told as one of the same size in all, each at its time."""
-    sd, period_h = SIZE[drive], rhythm.period_h
-    assert period_h is not None
-    turn = np.arctan2(*told.size(sd).reshape(-1, 2).T[::-1])
-    together = told.along(np.stack([np.cos(turn), np.sin(turn)], axis=1).ravel())
-    size = together.size(sd)
-    times = _price_of_times(told, turn, float(size[0]))
-    nats = together.nats(sd**2 * np.eye(1)) - times - float(np.log(RHYTHMS_TRIED)) - usual
-    course = with_own_times(rhythm, dict(zip(runs, (turn * period_h / (2.0 * np.pi)).tolist(), strict=True)))
-    return Unnamed(drive, course, nats, size, usual, RHYTHMS_TRIED, times)
-
-
-def _price_of_times(told: InformationForm, turn: Array, size: float) -> float:
-    """Nats that it costs to have taken the likeliest time of each run, which may be any: Laplace's approximation."""
-    price = 0.0
-    for run, angle in enumerate(turn.tolist()):
-        later = size * np.array([-np.sin(angle), np.cos(angle)])
-        known = float(later @ told.information[2 * run : 2 * run + 2, 2 * run : 2 * run + 2] @ later)
-        price += 0.5 * float(np.log(max(1.0, 2.0 * np.pi * known)))
-    return price
-
-
 def _looks(
     joint: Joint,
     found: Found,
@@ -296,7 +127,7 @@ def fitted(joint: Joint, before: Found, look: Unnamed) -> Unnamed:
     size = hypothesis.shares(fit.coordinates)[-1]
     times = look.times
     if look.has_own_times:  # the larger a rhythm is, the better its times are known, and the more they cost
-        times += len(joint.runs) * max(0.0, float(np.log(abs(size[0]) / max(abs(look.size[0]), 1e-9))))
+        times += len(joint.runs) * float(np.log(max(1.0, abs(size[0]) / max(abs(look.size[0]), 1e-9))))
     gain = evidence_for_last(before, fit) - look.usual - times
     return _possible(replace(look, gain=gain, size=size, times=times))
 

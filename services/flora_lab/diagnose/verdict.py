@@ -18,8 +18,8 @@ from flora_lab.diagnose.explanation import FIRST, SWING, Explanation, Stage, Tri
 from flora_lab.diagnose.hypothesis import Cause
 from flora_lab.diagnose.joint import Found
 from flora_lab.diagnose.knowledge import Knowledge, blocks
+from flora_lab.diagnose.nameless import Unnamed, times_as_probable
 from flora_lab.diagnose.scene import Scene
-from flora_lab.diagnose.unnamed import Unnamed, times_as_probable
 from flora_lab.effects import draught
 from flora_lab.effects.effect import Effect, Parameter, is_same
 
