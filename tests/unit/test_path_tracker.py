@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import msgspec
@@ -16,6 +17,7 @@ from flora_common.vision.lamp_states import EmptySetup, from_background
 from flora_common.vision.path import apex_error, doubts
 from flora_common.vision.path import tracker as tracker_module
 from flora_common.vision.path.apex_error import LIMITS_CM
+from flora_common.vision.path.guide import Way
 from flora_common.vision.path.likeness import USUAL, Likeness, SetupLikeness
 from flora_common.vision.path.memory import DOUBTS_BELIEVED, Memory
 from flora_common.vision.path.settings import PathSettings
@@ -375,6 +377,25 @@ def test_what_surrounds_an_end_decides_whether_and_how_far_it_is_believed(monkey
     outcomes = [followed.read(photograph(swaying(1.0), k), 1200.0 * k).outcome for k in range(1, 10)]
     assert outcomes[0] == "ok"
     assert outcomes[-1] == "occluded"
+
+
+def test_the_first_three_whole_pictures_are_looked_at_closely(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty minutes and more apart, so that each is looked at whole; the first two are doubtful starts."""
+    looks: list[float] = []
+    really = tracker_module.closely
+
+    def closely(*given: Any) -> tuple[Way, ...]:
+        looks.append(time_s)
+        return really(*given)
+
+    monkeypatch.setattr(tracker_module, "closely", closely)
+    one, known = tracker(), []
+    for k in range(8):
+        time_s = 1260.0 * k
+        one.read(photograph(swaying(-2.0), k), time_s)
+        known += [one.memory is not None]
+    assert known == [False, False, *[True] * 6]
+    assert looks == [1260.0 * k for k in range(2 + 3)]
 
 
 def test_what_an_end_looked_like_says_nothing_of_another_place_that_is_believed(

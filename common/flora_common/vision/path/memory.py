@@ -25,6 +25,8 @@ DOUBTS_BELIEVED: Final = 3
 """After so many pictures in a row that say so it is the stem all the same."""
 ASTRAY_BELIEVED: Final = 12
 """The same where the apex before is still to be seen, and looks as it did."""
+NEW_FOR: Final = 3
+"""So many whole pictures, under lamps that change, tell where the end is that is followed from then on."""
 LINE_KEPT_EVERY: Final = 4
 """Points of the line that memory keeps: one in so many, some 6 px apart."""
 
@@ -96,6 +98,11 @@ def before_of(memory: Memory | None, time_s: float) -> Before | None:
 def doubted_for(memory: Memory | None) -> int:
     """Pictures in a row in which something ended elsewhere than before, and was not believed."""
     return 0 if memory is None else max(memory.elsewhere, memory.doubts)
+
+
+def is_little_known(memory: Memory | None) -> bool:
+    """Whether what is followed is known from so few whole pictures that one more of them still decides."""
+    return memory is not None and memory.rivals is not None and memory.rivals.looks < NEW_FOR
 
 
 def remembered(

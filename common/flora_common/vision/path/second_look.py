@@ -1,8 +1,8 @@
-"""A picture looked at several times, where nothing is known from pictures before: then one picture decides.
+"""A picture looked at several times, where nothing or little is known from pictures before: then one picture decides.
 
 The network sees a mirrored picture as well as any, and a larger one, and is not wrong in quite the same way: the mean
-of what it says is right more often than any of it (docs/decisions/0019). Plants that are followed are looked at once,
-and again in every hour.
+of what it says is right more often than any of it (docs/decisions/0019). Plants that are followed for longer are looked
+at once, and again in every hour.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from flora_common.vision.path.memory import (
     State,
     before_of,
     doubted_for,
+    is_little_known,
     remembered,
 )
 from flora_common.vision.path.reduced import reduced
@@ -213,7 +214,7 @@ class PathTracker:
             followed = Followed(None, evidence, time_s, scale)
         before = before_of(memory, time_s)
         before = before and replace(before, line_px=followed.drawn(before.line_px))
-        if before is None:  # this picture decides by itself
+        if before is None or is_little_known(memory):
             sight = sight.with_ways(closely(evidence, np.array(self._foot_px), scale))
         sampler = Sampler(evidence)
         past = Past(memory, before, followed, time_s)
