@@ -67,7 +67,7 @@ def unnamed(
         best = max(best, _best_fit(joint, found, turning[:_RHYTHMS_FITTED]), key=_gain)
     if best.gain < _CERTAIN:
         return best
-    closer = [_best_fit(joint, found, looked_closer(joint, found, scenes, answers))]
+    closer = [_best_fit(joint, found, looked_closer(joint, found, scenes, answers, best))]
     if best.course.period_h is not None:
         closer.append(_best_fit(joint, found, finer(joint, found, scenes, answers, best)))
     return max([best, *closer], key=_gain)
@@ -94,10 +94,16 @@ def looked_at(
     return _looks(joint, found, [pushed_along(*run) for run in zip(scenes, answers, strict=True)], TRIED, as_usual)
 
 
-def looked_closer(joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers]) -> list[Unnamed]:
-    """The same for spells that begin and end at any time."""
-    pushed = [pushed_along(*run, CLOSER) for run in zip(scenes, answers, strict=True)]
-    return _looks(joint, found, pushed, CLOSER, lambda *_: 0.0, len(TRIED) + len(CLOSER))
+def looked_closer(
+    joint: Joint, found: Found, scenes: Sequence[Scene], answers: Sequence[Answers], look: Unnamed
+) -> list[Unnamed]:
+    """The same for spells that begin and end at any time, of the drive that is off.
+
+    What healthy plants show of each is not known: it is taken to be what they show of ``look``.
+    """
+    spells = [pattern for pattern in CLOSER if pattern[0] == look.drive]
+    pushed = [pushed_along(*run, spells) for run in zip(scenes, answers, strict=True)]
+    return _looks(joint, found, pushed, spells, lambda *_: look.usual, len(TRIED) + len(CLOSER))
 
 
 def _looks(
