@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flora_common.arrays import Array
-from flora_lab.diagnose.courses import TRIED, Course
+from flora_lab.diagnose.courses import SIZE, TRIED, Course
+from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.simulator.drives import DAY_H
 
 
@@ -61,6 +62,13 @@ class Unnamed:
     def has_own_times(self) -> bool:
         """Whether it is a rhythm that is at another place in each run."""
         return self.course.period_h is not None and len(self.size) == 1
+
+
+def taken_for_linear(drive: str, course: Course, told: InformationForm, usual: float, tried: int) -> Unnamed:
+    """What runs tell of a drive along a course, as one of so many; ``usual`` nats are what healthy plants show."""
+    sd = SIZE[drive]
+    nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(tried)) - usual
+    return Unnamed(drive, course, nats, told.size(sd), usual, tried)
 
 
 def times_as_probable(nats: float) -> str:

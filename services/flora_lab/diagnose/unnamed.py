@@ -27,7 +27,7 @@ from flora_lab.diagnose.courses import (
 from flora_lab.diagnose.hypothesis import Cause, Hypothesis
 from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Found, Joint, evidence_for_last
-from flora_lab.diagnose.nameless import Unnamed
+from flora_lab.diagnose.nameless import Unnamed, taken_for_linear
 from flora_lab.diagnose.scene import Answers, Scene
 from flora_lab.diagnose.unnamed_rhythms import finer, rhythms
 from flora_lab.diagnose.usual_pushes import UsualPushes, told_of_all
@@ -117,9 +117,7 @@ def _looks(
     out = []
     for which, told in enumerate(told_of_all(joint, found, pushed)):
         drive, course = patterns[which]
-        sd, usual = SIZE[drive], as_usual(which, told)
-        nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(tried)) - usual
-        out.append(_possible(Unnamed(drive, course, nats, told.size(sd), usual, tried)))
+        out.append(_possible(taken_for_linear(drive, course, told, as_usual(which, told), tried)))
     return sorted(out, key=lambda one: -one.gain)
 
 

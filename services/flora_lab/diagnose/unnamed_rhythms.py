@@ -7,6 +7,7 @@ mean. So each rhythm is looked at with one time for all runs, and with a time of
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ from flora_lab.diagnose.courses import (
 )
 from flora_lab.diagnose.information_form import InformationForm
 from flora_lab.diagnose.joint import Found, Joint
-from flora_lab.diagnose.nameless import Unnamed
+from flora_lab.diagnose.nameless import Unnamed, taken_for_linear
 from flora_lab.diagnose.scene import WINDOW_H, Answers, Scene
 from flora_lab.diagnose.usual_pushes import UsualPushes, told_apart, told_of_all
 
@@ -97,7 +98,8 @@ def _rhythms(
     best: dict[tuple[str, bool], Unnamed] = {}
     both = zip(tried, told_of_all(joint, found, pushed), told_apart(joint, found, pushed), strict=True)
     for which, ((drive, course), together, apart) in enumerate(both):
-        looks = [_together(drive, course, together, as_usual(which, together, has_own_times=False))]
+        usual = as_usual(which, together, has_own_times=False)
+        looks = [taken_for_linear(drive, course, together, usual, RHYTHMS_TRIED)]
         if len(scenes) > 1:
             looks.append(_apart(drive, course, runs, apart, as_usual(which, apart, has_own_times=True)))
         for look in looks:
@@ -106,23 +108,16 @@ def _rhythms(
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
-def _together(drive: str, course: Course, told: InformationForm, usual: float) -> Unnamed:
-    sd = SIZE[drive]
-    nats = told.nats(sd**2 * np.eye(len(told.pull))) - float(np.log(RHYTHMS_TRIED)) - usual
-    return Unnamed(drive, course, nats, told.size(sd), usual, RHYTHMS_TRIED)
-
-
 def _apart(drive: str, rhythm: Course, runs: Sequence[tuple[str, str]], told: InformationForm, usual: float) -> Unnamed:
     """A rhythm as large in each run as it seems to be there, told as one of the same size in all, each at its time."""
     sd, period_h = SIZE[drive], rhythm.period_h
     assert period_h is not None
     turn = np.arctan2(*told.size(sd).reshape(-1, 2).T[::-1])
     together = told.along(np.stack([np.cos(turn), np.sin(turn)], axis=1).ravel())
-    size = together.size(sd)
-    times = _price_of_times(told, turn, float(size[0]))
-    nats = together.nats(sd**2 * np.eye(1)) - times - float(np.log(RHYTHMS_TRIED)) - usual
     course = with_own_times(rhythm, dict(zip(runs, (turn * period_h / (2.0 * np.pi)).tolist(), strict=True)))
-    return Unnamed(drive, course, nats, size, usual, RHYTHMS_TRIED, times)
+    look = taken_for_linear(drive, course, together, usual, RHYTHMS_TRIED)
+    times = _price_of_times(told, turn, float(look.size[0]))
+    return replace(look, gain=look.gain - times, times=times)
 
 
 def _price_of_times(told: InformationForm, turn: Array, size: float) -> float:
